@@ -1,0 +1,1 @@
+"""Device code: Warp functions and kernels, one file a stage."""

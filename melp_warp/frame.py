@@ -1,0 +1,32 @@
+"""One frame of one particle set as plain NumPy arrays: what is written to USD and what is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class ParticleFrame:
+    """A particle set at one instant, sorted by id. SI units, except thickness (nanometres).
+
+    Attributes:
+        points: [n, 3] float32, m.
+        velocities: [n, 3] float32, m/s (material velocity).
+        ids: [n] int64, stable over the run, ascending.
+        widths: [n] float32, m, particle diameter for display.
+        normals: [n, 3] float32, outward unit normals.
+        thickness: [n] float32, nm.
+        region: [n] int32, index of the film region.
+        black_film: [n] int32, 1 where the particle is Newton black film.
+    """
+
+    points: np.ndarray
+    velocities: np.ndarray
+    ids: np.ndarray
+    widths: np.ndarray
+    normals: np.ndarray
+    thickness: np.ndarray
+    region: np.ndarray
+    black_film: np.ndarray

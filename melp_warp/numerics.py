@@ -1,0 +1,75 @@
+"""Choices of discretisation: frozen, checked when made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from melp_warp.errors import require
+
+SCHEMES = ("backward_euler", "trapezoid", "explicit")
+OPERATORS = ("mls", "sph")
+SOLVERS = ("cg", "jacobi")
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """How the equations are discretised and solved.
+
+    Attributes:
+        support: kernel support radius r in E spacings (the paper's 4).
+        scheme: normal dynamics: "backward_euler" (damps), "trapezoid" (second order, keeps oscillations; taken as the
+            implicit midpoint rule, with which it coincides for linear forces) or "explicit" (the paper's symplectic
+            Euler step).
+        curvature: "mls" (second order) or "sph" (the paper's (21)).
+        solver: "cg" or "jacobi" (the paper's relaxed sweeps) for the surfactant equation (14).
+        tolerance: relative residual at which conjugate gradients stop.
+        max_iterations: iterations or sweeps at which a solve stops.
+        cfl: largest displacement of a particle in a step, in E spacings, where the scene sets no dt.
+        l_order: order in time of the L advance, 1 or 2.
+        skin: neighbour-list skin in E spacings: lists live until particles have moved half of it.
+        redistribution: strength of the E redistribution (20), 0 for none.
+        spread: (delta_max - delta_min)/delta_mean below which E are left alone.
+        xsph: XSPH smoothing of the tangential E velocity, 0 to 1 (the paper's 0.99).
+        thickness_time: time in which eta_L relaxes to agree with eta_E, s.
+    """
+
+    support: float = 4.0
+    scheme: str = "backward_euler"
+    curvature: str = "mls"
+    solver: str = "cg"
+    tolerance: float = 1e-4
+    max_iterations: int = 100
+    cfl: float = 0.99
+    l_order: int = 1
+    skin: float = 0.5
+    redistribution: float = 1.0
+    spread: float = 0.02
+    xsph: float = 0.99
+    thickness_time: float = 0.1
+
+    def __post_init__(self):
+        def number(name, low, high):
+            value = getattr(self, name)
+            ok = isinstance(value, (int, float)) and np.isfinite(value) and low <= value <= high
+            require(ok, name, value, f"a number from {low:g} to {high:g}")
+
+        number("support", 2.0, 8.0)
+        require(self.scheme in SCHEMES, "scheme", self.scheme, f"one of {', '.join(SCHEMES)}")
+        require(self.curvature in OPERATORS, "curvature", self.curvature, f"one of {', '.join(OPERATORS)}")
+        require(self.solver in SOLVERS, "solver", self.solver, f"one of {', '.join(SOLVERS)}")
+        number("tolerance", 1e-7, 0.1)
+        require(
+            isinstance(self.max_iterations, int) and 1 <= self.max_iterations <= 10000,
+            "max_iterations",
+            self.max_iterations,
+            "a whole number from 1 to 10000",
+        )
+        number("cfl", 0.01, 10.0)
+        require(self.l_order in (1, 2), "l_order", self.l_order, "1 or 2")
+        number("skin", 0.05, 4.0)
+        number("redistribution", 0.0, 1.0)
+        number("spread", 0.0, 10.0)
+        number("xsph", 0.0, 1.0)
+        number("thickness_time", 1e-6, 1e6)

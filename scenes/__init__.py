@@ -1,0 +1,1 @@
+"""Scene scripts, one file a figure."""

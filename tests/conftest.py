@@ -1,0 +1,12 @@
+"""Fixtures shared by all tests."""
+
+import pytest
+import warp as wp
+
+
+@pytest.fixture(scope="session")
+def device():
+    """The device every test runs on."""
+    wp.config.quiet = True
+    wp.init()
+    return wp.get_device("cpu")
