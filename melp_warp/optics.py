@@ -22,7 +22,7 @@ DISPLAY_GAIN = 13.0
 DISPLAY_MAX_THICKNESS = 4000.0
 """nm; above it `display_color` gives the colour of this thickness (fringes have washed out to grey)."""
 
-_DISPLAY_STEP = 0.125
+_DISPLAY_STEP = 0.25
 
 # CIE 1931 2-degree colour matching functions x, y, z and the CIE standard illuminant D65 at the wavelength (nm)
 # of the first column.
@@ -200,19 +200,19 @@ def color_table(
 
 
 def clip_to_gamut(color: np.ndarray) -> np.ndarray:
-    """Bring linear sRGB [..., 3] into 0..1, keeping hue and luminance.
+    """Bring linear sRGB [..., 3] into 0..1 in two steps; no channel is cut by itself.
 
-    The luminance is clamped to 0..1, then a colour outside the gamut is moved towards the grey of its luminance
-    just as far as needed: it becomes paler, not darker, and no channel is cut by itself.
+    1. A colour with a negative channel is moved towards the grey of its luminance until that channel is 0: it
+       becomes a little paler, its luminance stays.
+    2. A colour with a channel above 1 is divided by its largest channel: it becomes a little darker, its
+       chromaticity stays.
     """
     color = np.asarray(color, dtype=np.float64)
-    luminance = (color @ _LUMINANCE)[..., None]
-    grey = np.clip(luminance, 0.0, 1.0)
-    chroma = color - luminance
-    room = np.where(chroma > 0.0, 1.0 - grey, grey)
-    size = np.abs(chroma)
-    keep = np.min(np.divide(room, size, out=np.ones_like(size), where=size > room), axis=-1, keepdims=True)
-    return np.clip(grey + keep * chroma, 0.0, 1.0)  # the clip only removes rounding
+    luminance = np.maximum((color @ _LUMINANCE)[..., None], 0.0)
+    lowest = np.minimum(color.min(axis=-1, keepdims=True), 0.0)
+    keep = np.divide(luminance, luminance - lowest, out=np.ones_like(lowest), where=lowest < 0.0)
+    color = luminance + keep * (color - luminance)
+    return np.clip(color / np.maximum(color.max(axis=-1, keepdims=True), 1.0), 0.0, 1.0)  # the clip removes rounding
 
 
 @lru_cache(maxsize=8)
