@@ -118,6 +118,13 @@ class StarShaped(Shape):
         require(bool(np.all(radii > 0.0)), "displacement", float(radii.min()), "such that every radius is above 0")
         return radii
 
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        """[n, 3] outward unit normals of the surface where it meets the rays from the centre through points [n, 3]."""
+        directions = points - np.asarray(self.center)
+        directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        _, area = self._surface(directions)
+        return area / np.linalg.norm(area, axis=1, keepdims=True)
+
     def _surface(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points and area vectors dA n per steradian, by central differences along the surface."""
         axis = np.where(np.abs(directions[:, :1]) < 0.6, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
@@ -145,6 +152,26 @@ class StarShaped(Shape):
         points, area = self._surface(directions)
         size = np.linalg.norm(area, axis=1)
         return Samples(points + np.asarray(self.center), area / size[:, None], size * (4.0 * np.pi / count))
+
+
+def displaced_sphere(
+    radius: float,
+    displacement: Callable[[np.ndarray], np.ndarray],
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> StarShaped:
+    """A displaced sphere, scaled so that it encloses the volume of a sphere of `radius` (m).
+
+    Args:
+        radius: m.
+        displacement: function of unit vectors [n, 3] -> [n], relative to `radius` before scaling.
+        center: m.
+
+    Raises:
+        InputError: for a radius that is not above 0, or a displacement that reaches the centre.
+    """
+    radii = StarShaped(1.0, displacement).radii(fibonacci_sphere(50000))
+    scale = 1.0 / np.cbrt(np.mean(radii**3))
+    return StarShaped(radius, lambda d: scale * (1.0 + displacement(d)) - 1.0, center)
 
 
 def Sphere(radius: float, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> StarShaped:  # noqa: N802
