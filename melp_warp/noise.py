@@ -45,9 +45,10 @@ class _Octave:
 
 
 class Perlin:
-    """Seeded 3D Perlin noise: twice continuously differentiable, zero at the lattice points.
+    """Seeded 3D Perlin noise: twice continuously differentiable, zero at the lattice points (k + 1/2)/frequency.
 
-    Each octave has twice the frequency and half the weight of the one before; weights add up to 1.
+    The origin is the middle of a cell, so that a flat film through it does not lie in a plane of lattice points, where
+    the noise is faint. Each octave has twice the frequency and half the weight of the one before; weights add up to 1.
 
     Args:
         seed: same seed, same noise.
@@ -71,7 +72,7 @@ class Perlin:
         """[n] values in [-1, 1] at points [n, 3]."""
         x = np.asarray(points, dtype=np.float64) * self.frequency
         return sum(
-            w * octave(x * 2.0**i) for i, (w, octave) in enumerate(zip(self._weights, self._octaves, strict=True))
+            w * octave(x * 2.0**i + 0.5) for i, (w, octave) in enumerate(zip(self._weights, self._octaves, strict=True))
         )
 
     def even(self, points: np.ndarray) -> np.ndarray:

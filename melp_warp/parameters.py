@@ -53,6 +53,14 @@ class Key:
         # .15g keeps large whole limits exact
         return f"{kind} {low} {self.high:.15g}{unit}" + (" or auto" if self.auto else "")
 
+    @property
+    def limits(self) -> str:
+        """The same, short enough for a table; without the unit."""
+        if self.choices:
+            return " | ".join(self.choices)
+        low = f"above {self.low:g}, up" if self.above else f"{self.low:g}"
+        return f"{low} to {self.high:.15g}" + (", whole" if self.whole else "") + (" | auto" if self.auto else "")
+
     def parse(self, name: str, text: str) -> Value:
         """Read a value typed by a user.
 

@@ -1,0 +1,195 @@
+"""The command line: `melp-warp run | scenes | preview | check`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from melp_warp import __version__
+from melp_warp.errors import InputError, SimulationError
+
+OK, FAILED, BAD_INPUT = 0, 1, 2
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a wrong command line in one line."""
+
+    def error(self, message: str):
+        raise InputError(message)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        arguments: the words after `melp-warp`; None for those of this process.
+
+    Returns:
+        The exit code: 0 done, 1 a run or a check failed, 2 bad input, 130 interrupted.
+    """
+    try:
+        options = _parser().parse_args(arguments)
+        return options.command(options)
+    except InputError as error:
+        return _report(error, BAD_INPUT)
+    except SimulationError as error:
+        return _report(error, FAILED)
+    except BrokenPipeError:
+        # the reader of a pipe has left: nothing more to tell it, nor to flush at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _report(f"{where}{error.strerror or error}", BAD_INPUT)
+    except KeyboardInterrupt:
+        return _report("interrupted", 130)
+
+
+def run_file(path: str) -> int:
+    """What a scene file does when it is run as a script: `melp-warp run` on itself, with the script's options."""
+    return main(["run", path, *sys.argv[1:]])
+
+
+def _report(message: object, code: int) -> int:
+    print(f"melp-warp: error: {' '.join(str(message).split())}", file=sys.stderr)
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="melp-warp", description="Simulate soap films and bubbles; write them as USD.")
+    parser.add_argument("--version", action="version", version=f"melp-warp {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    _add_run(commands)
+    _add_scenes(commands)
+    _add_preview(commands)
+    _add_check(commands)
+    return parser
+
+
+def _add_run(commands: argparse._SubParsersAction) -> None:
+    run = commands.add_parser("run", help="simulate a scene", description="Simulate a scene and write it as USD.")
+    run.add_argument("scene", metavar="NAME|PATH.py", help="a scene of `melp-warp scenes`, or a scene file")
+    run.add_argument("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
+    run.add_argument("--frames", metavar="N", help="frames after the first")
+    run.add_argument("--fps", metavar="F", help="frames per simulated second")
+    step = run.add_mutually_exclusive_group()
+    step.add_argument("--dt", metavar="S", help="largest time step, s")
+    step.add_argument("--cfl", metavar="C", help="largest motion in a step, E spacings (sets dt to auto)")
+    run.add_argument("--seed", metavar="N", help="seed of everything random")
+    run.add_argument(
+        "--set", metavar="KEY=VALUE", nargs="+", action="extend", default=[], help="change numbers of the scene"
+    )
+    run.add_argument("--out", metavar="DIR", type=Path, help="folder to write, new or empty (default: out/NAME)")
+    run.add_argument(
+        "--export", choices=("l", "e", "both"), help="particles to write: L, E or both (default: L where there are any)"
+    )
+    run.add_argument("--preview", action="store_true", help="draw preview.png and contact.png at the end")
+    run.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    run.set_defaults(command=_run)
+
+
+def _add_scenes(commands: argparse._SubParsersAction) -> None:
+    scenes = commands.add_parser(
+        "scenes", help="list the scenes, or the numbers of one", description="List the scenes, or the numbers of one."
+    )
+    scenes.add_argument("scene", nargs="?", metavar="NAME|PATH.py", help="list this scene's keys")
+    scenes.set_defaults(command=_scenes)
+
+
+def _add_preview(commands: argparse._SubParsersAction) -> None:
+    preview = commands.add_parser("preview", help="draw a frame to PNG", description="Draw a frame to PNG.")
+    preview.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    preview.add_argument("--frame", metavar="N", type=int, help="frame number (default: the last)")
+    preview.add_argument("--out", metavar="FILE", type=Path, help="image to write (default: DIR/preview.png)")
+    preview.add_argument("--size", metavar="N", type=int, default=800, help="width and height, pixels (default: 800)")
+    preview.add_argument("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
+    preview.set_defaults(command=_preview)
+
+
+def _add_check(commands: argparse._SubParsersAction) -> None:
+    check = commands.add_parser(
+        "check", help="check a written cache", description="Check that a folder that a run wrote is a sound cache."
+    )
+    check.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    check.set_defaults(command=_check)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from melp_warp import runner
+    from melp_warp.registry import load_scene
+
+    script = load_scene(options.scene)
+    values = script.parameters.values(script.parameters.parse(_settings(options)))
+    plan = runner.Plan(
+        scene=script.build(values),
+        name=script.name,
+        parameters=values.as_dict(),
+        out=options.out if options.out is not None else Path("out") / script.name,
+        device=options.device,
+        export=options.export,
+        preview=options.preview,
+        quiet=options.quiet,
+    )
+    return runner.run(plan)
+
+
+def _settings(options: argparse.Namespace) -> list[str]:
+    """The options that stand for keys, as key=value, and those of --set."""
+    given = [(key, getattr(options, key)) for key in ("frames", "fps", "dt", "cfl", "seed")]
+    settings = [f"{key}={value}" for key, value in given if value is not None]
+    if options.cfl is not None:
+        settings.append("dt=auto")
+    return settings + options.set
+
+
+def _scenes(options: argparse.Namespace) -> int:
+    from melp_warp.registry import load_scene, scene_names
+
+    if options.scene is None:
+        print(_columns([(name, load_scene(name).description) for name in scene_names()]))
+        return OK
+    script = load_scene(options.scene)
+    rows = [("key", "value", "unit", "meaning", "allowed")]
+    for name, value in script.parameters.defaults.items():
+        key = script.parameters.keys[name]
+        rows.append(
+            (
+                name,
+                "auto" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value),
+                key.unit,
+                key.meaning,
+                key.limits,
+            )
+        )
+    print(f"{script.name}: {script.description}\n")
+    print(_columns(rows))
+    return OK
+
+
+def _columns(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of text as lines with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def _preview(options: argparse.Namespace) -> int:
+    from melp_warp import runner
+
+    path = runner.draw_frame(options.folder, options.frame, options.out, options.size, options.device)
+    print(path)
+    return OK
+
+
+def _check(options: argparse.Namespace) -> int:
+    from melp_warp.check import check_cache
+
+    problems = check_cache(options.folder)
+    for problem in problems:
+        print(problem)
+    if problems:
+        return FAILED
+    print(f"{options.folder}: no problem found")
+    return OK

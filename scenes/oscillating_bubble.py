@@ -1,0 +1,41 @@
+"""A bubble ringing in one mode: E particles only, to compare with the exact period.
+
+The mode n of a film in a vacuum has omega^2 = 2 sigma (n-1)(n+2) / (m R^2), with m = density * thickness; with
+`--set air=added_mass` the air joins in (Lamb, Hydrodynamics, section 275): m + rho_air R (2n+1)/(n(n+1)).
+"""
+
+import numpy as np
+
+try:
+    from melp_warp.parameters import Values, declare
+    from melp_warp.scene import Scene
+    from melp_warp.shapes import displaced_sphere
+except ModuleNotFoundError as error:
+    raise SystemExit(f"{error}: run `pip install -e .` in the checkout first") from None
+
+PARAMETERS = declare(
+    radius=0.05,
+    mode=2,
+    amplitude=0.05,
+    thickness=400e-9,
+    surfactant=0.0,
+    air="none",
+    scheme="trapezoid",
+    e_count=2000,
+    l_per_e=0,
+    frames=100,
+    fps=2500.0,
+    dt=2e-4,
+)
+
+
+def build(p: Values) -> Scene:
+    """Build the scene."""
+    legendre = np.polynomial.legendre.Legendre.basis(p.mode)
+    return p.scene("oscillating_bubble", displaced_sphere(p.radius, lambda d: p.amplitude * legendre(d[:, 1])))
+
+
+if __name__ == "__main__":
+    from melp_warp.cli import run_file
+
+    raise SystemExit(run_file(__file__))
