@@ -1,0 +1,534 @@
+"""The USD point cache of a run: one binary file a frame, bound by a small root layer with value clips.
+
+    film.usda                 root: open this one
+    film.manifest.usda        what the clips hold
+    film_look.usda            optional MaterialX look over the root, see `write_look`
+    frames/film.000000.usdc   one file a frame
+
+File number, time code and frame index are the same number. Frame 0 is the initial state; the time in seconds is
+the time code divided by the frame rate. The cache is complete and valid after every `CacheWriter.write`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import melp_warp
+from melp_warp.errors import InputError, SimulationError, require
+from melp_warp.frame import ParticleFrame
+from melp_warp.optics import DISPLAY_GAIN, WATER_INDEX, display_color
+
+SCHEMA_VERSION = 1
+ROOT = "film.usda"
+MANIFEST = "film.manifest.usda"
+LOOK = "film_look.usda"
+FRAMES = "frames"
+CLIP_TEMPLATE = f"./{FRAMES}/film.######.usdc"
+METADATA_KEY = "melpWarp"
+THICKNESS_UNIT = "nm"
+MAX_FRAME = 999_999
+
+_FRAME_NAME = re.compile(r"film\.(\d{6})\.usdc")
+_MATERIAL = "/World/Looks/SoapFilm"
+_OTHER_RUN = (ROOT, FRAMES, "run.jsonl")
+
+
+class Attribute(NamedTuple):
+    """How one attribute of a point prim is stored.
+
+    Attributes:
+        name: USD attribute name.
+        field: field of `ParticleFrame`; None where it is derived.
+        type_name: USD value type.
+        array: name of the `pxr.Vt` array class.
+        dtype: NumPy type.
+        columns: 1 for scalars, 3 for vectors.
+        interpolation: USD interpolation; None where the schema fixes it.
+    """
+
+    name: str
+    field: str | None
+    type_name: str
+    array: str
+    dtype: type
+    columns: int
+    interpolation: str | None
+
+
+ATTRIBUTES = (
+    Attribute("points", "points", "point3f[]", "Vec3fArray", np.float32, 3, None),
+    Attribute("velocities", "velocities", "vector3f[]", "Vec3fArray", np.float32, 3, None),
+    Attribute("ids", "ids", "int64[]", "Int64Array", np.int64, 1, None),
+    Attribute("widths", "widths", "float[]", "FloatArray", np.float32, 1, "vertex"),
+    Attribute("normals", "normals", "normal3f[]", "Vec3fArray", np.float32, 3, "vertex"),
+    Attribute("primvars:thickness", "thickness", "float[]", "FloatArray", np.float32, 1, "vertex"),
+    Attribute("primvars:region", "region", "int[]", "IntArray", np.int32, 1, "vertex"),
+    Attribute("primvars:blackFilm", "black_film", "int[]", "IntArray", np.int32, 1, "vertex"),
+    Attribute("primvars:displayColor", None, "color3f[]", "Vec3fArray", np.float32, 3, "vertex"),
+    Attribute("extent", None, "float3[]", "Vec3fArray", np.float32, 3, None),
+)
+"""Every attribute of a point prim. Each frame holds all of them, the root and the manifest declare them."""
+
+
+def frame_path(directory: str | os.PathLike, frame: int) -> Path:
+    """Return the path of the file of one frame."""
+    return Path(directory) / FRAMES / f"film.{frame:06d}.usdc"
+
+
+def list_frames(directory: str | os.PathLike) -> list[int]:
+    """Return the frame numbers on disk, ascending; empty where there is no cache."""
+    folder = Path(directory) / FRAMES
+    if not folder.is_dir():
+        return []
+    return sorted(int(match[1]) for name in os.listdir(folder) if (match := _FRAME_NAME.fullmatch(name)))
+
+
+# --- checks before anything is written -----------------------------------------------------------------------------
+
+
+def _check_arrays(label: str, frame: ParticleFrame) -> None:
+    """Refuse what USD would take silently: wrong shapes and types, NaN, ids out of order, negative thickness."""
+    count = len(frame.points)
+    for attribute in ATTRIBUTES:
+        if attribute.field is None:
+            continue
+        name = f"{label}.{attribute.field}"
+        array = getattr(frame, attribute.field)
+        shape = (count, 3) if attribute.columns == 3 else (count,)
+        dtype = np.dtype(attribute.dtype)
+        got = (array.shape, str(array.dtype)) if isinstance(array, np.ndarray) else type(array).__name__
+        require(got == (shape, str(dtype)), name, got, f"an array {list(shape)} of {dtype}")
+        finite = np.isfinite(array.reshape(count, attribute.columns)).all(axis=1)
+        if not finite.all():
+            raise SimulationError(f"{name} is not finite at particle id {frame.ids[np.argmin(finite)]}")
+    rising = np.diff(frame.ids) > 0
+    if not rising.all():
+        at = int(np.argmin(rising))
+        require(False, f"{label}.ids", frame.ids[at : at + 2].tolist(), "ascending, each once")
+    for field in ("widths", "thickness"):
+        array = getattr(frame, field)
+        if count and array.min() < 0.0:
+            at = int(np.argmin(array))
+            raise SimulationError(f"{label}.{field} is negative at particle id {frame.ids[at]}: {array[at]}")
+
+
+def _checked_metadata(metadata: Mapping, name: str = "metadata") -> dict:
+    """A copy of `metadata` that a USD dictionary can hold: nested mappings of names to text, bool and numbers."""
+    result = {}
+    for key, value in metadata.items():
+        require(isinstance(key, str) and key.isidentifier(), f"{name} key", key, "a name of letters, digits and _")
+        if isinstance(value, Mapping):
+            result[key] = _checked_metadata(value, f"{name}.{key}")
+        else:
+            allowed = isinstance(value, (str, bool, int, float))
+            require(allowed, f"{name}.{key}", value, "text, a bool, a number or a mapping of these")
+            small = not isinstance(value, int) or -(2**63) <= value < 2**63
+            require(small, f"{name}.{key}", value, "within 64 bits")
+            result[key] = value
+    return result
+
+
+def _versions() -> dict[str, str]:
+    from pxr import Usd
+
+    return {
+        "melpWarp": melp_warp.__version__,
+        "warp": importlib.metadata.version("warp-lang"),
+        "numpy": np.__version__,
+        "usd": ".".join(map(str, Usd.GetVersion())),
+    }
+
+
+def _claim(directory: Path) -> None:
+    """Create `directory` and its frames folder; `InputError` if it holds another run or cannot be written."""
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"output folder {directory} is a file: choose another folder")
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for name in _OTHER_RUN:
+            if (directory / name).exists():
+                raise InputError(f"output folder {directory} already holds a run ({name}): choose another folder")
+        (directory / FRAMES).mkdir()
+    except OSError as error:
+        raise InputError(f"cannot use output folder {directory}: {error.strerror or error}") from error
+
+
+# --- layers --------------------------------------------------------------------------------------------------------
+
+
+def _sync(path: Path, flags: int) -> None:
+    handle = os.open(path, flags)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _reason(error: Exception) -> str:
+    """The cause of a failed write in a few words; pxr reports it within a block of source locations."""
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    found = re.search(r"writing file: ([^'\n]+)'", str(error)) or re.search(r": '([^\n]+)'", str(error))
+    return found[1] if found else str(error).strip()
+
+
+def _export(layer, path: Path) -> None:
+    """Write `layer` to `path` such that there is never a part of a file under that name."""
+    from pxr import Tf
+
+    partial = path.with_name(f"{path.stem}.tmp{path.suffix}")
+    try:
+        if not layer.Export(str(partial)):
+            raise OSError(f"USD did not write {partial.name}")
+        _sync(partial, os.O_RDWR)
+        os.replace(partial, path)
+        with contextlib.suppress(OSError):  # not every system can sync a folder
+            _sync(path.parent, os.O_RDONLY)
+    except (OSError, Tf.ErrorException) as error:
+        raise InputError(f"cannot write {path}: {_reason(error)}; files written before are complete") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def open_layer(path: Path):
+    """Return the layer in a file, read afresh rather than from USD's cache of open layers.
+
+    Raises:
+        InputError: the file is missing, truncated or damaged.
+    """
+    from pxr import Sdf, Tf
+
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    try:
+        layer = Sdf.Layer.OpenAsAnonymous(str(path))
+    except Tf.ErrorException as error:
+        raise InputError(f"{path} cannot be opened: {_reason(error)}") from error
+    if layer is None:
+        raise InputError(f"{path} cannot be opened: it is truncated or damaged")
+    return layer
+
+
+def _new_layer(extension: str, fps: float):
+    """An empty layer in memory with the units and rate that every layer of a cache carries."""
+    from pxr import Sdf
+
+    layer = Sdf.Layer.CreateAnonymous(extension)
+    layer.pseudoRoot.SetInfo("upAxis", "Y")
+    layer.pseudoRoot.SetInfo("metersPerUnit", 1.0)
+    layer.timeCodesPerSecond = layer.framesPerSecond = fps
+    layer.defaultPrim = "World"
+    return layer
+
+
+def _declare(layer, prims: Sequence[str]) -> None:
+    """Add /World and the point prims with every attribute, without values."""
+    from pxr import Sdf
+
+    world = Sdf.PrimSpec(layer, "World", Sdf.SpecifierDef, "Xform")
+    world.kind = "component"
+    for prim in prims:
+        points = Sdf.PrimSpec(world, prim, Sdf.SpecifierDef, "Points")
+        for attribute in ATTRIBUTES:
+            spec = Sdf.AttributeSpec(points, attribute.name, Sdf.ValueTypeNames.Find(attribute.type_name))
+            if attribute.interpolation:
+                spec.SetInfo("interpolation", attribute.interpolation)
+
+
+def _frame_layer(frame_index: int, fps: float, frames: Mapping[str, ParticleFrame], gain: float, index: float):
+    """The layer of one frame: every attribute with one sample at its own time code."""
+    from pxr import UsdGeom, Vt
+
+    layer = _new_layer(".usdc", fps)
+    layer.startTimeCode = layer.endTimeCode = frame_index
+    layer.customLayerData = {METADATA_KEY: {"schemaVersion": SCHEMA_VERSION, "thicknessUnit": THICKNESS_UNIT}}
+    _declare(layer, list(frames))
+    for prim, frame in frames.items():
+        values = {}
+        for attribute in ATTRIBUTES[:-1]:
+            array = getattr(frame, attribute.field) if attribute.field else display_color(frame.thickness, gain, index)
+            values[attribute.name] = getattr(Vt, attribute.array).FromNumpy(np.ascontiguousarray(array))
+        values["extent"] = UsdGeom.Points.ComputeExtent(values["points"], values["widths"])
+        for name, value in values.items():
+            layer.SetTimeSample(f"/World/{prim}.{name}", float(frame_index), value)
+    return layer
+
+
+def _add_preview_material(stage, prims: Sequence[str]) -> None:
+    """A UsdPreviewSurface that shows displayColor, bound to every point prim."""
+    from pxr import Sdf, UsdGeom, UsdShade
+
+    UsdGeom.Scope.Define(stage, "/World/Looks")
+    material = UsdShade.Material.Define(stage, _MATERIAL)
+    surface = UsdShade.Shader.Define(stage, f"{_MATERIAL}/Surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    reader = UsdShade.Shader.Define(stage, f"{_MATERIAL}/DisplayColor")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    color = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(color)
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.1)
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    for prim in prims:
+        UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(f"/World/{prim}")).Bind(material)
+
+
+def _root_layer(fps: float, prims: Sequence[str], metadata: dict):
+    """The root without its time range and clips, see `_set_range`."""
+    from pxr import Usd, UsdGeom
+
+    layer = _new_layer(".usda", fps)
+    layer.documentation = "Soap film point cache. SI units, except primvars:thickness, which is in nanometres."
+    layer.customLayerData = {METADATA_KEY: metadata}
+    _declare(layer, prims)
+    stage = Usd.Stage.Open(layer)
+    _add_preview_material(stage, prims)
+    for prim in prims[1:]:
+        UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{prim}")).CreatePurposeAttr(UsdGeom.Tokens.guide)
+    return layer
+
+
+def _set_range(layer, first: int, last: int) -> None:
+    """Give the root its time range and the value clips of these frames."""
+    from pxr import Sdf
+
+    layer.startTimeCode, layer.endTimeCode = first, last
+    clips = {
+        "primPath": "/World",
+        "manifestAssetPath": Sdf.AssetPath(f"./{MANIFEST}"),
+        "templateAssetPath": CLIP_TEMPLATE,
+        "templateStartTime": float(first),
+        "templateEndTime": float(last),
+        "templateStride": 1.0,
+    }
+    layer.GetPrimAtPath("/World").SetInfo("clips", {"default": clips})
+
+
+# --- writing -------------------------------------------------------------------------------------------------------
+
+
+class CacheWriter:
+    """Writes a cache frame by frame; after every frame the cache on disk is complete and can be opened.
+
+    A frame goes to a temporary file first, is flushed to the disk and renamed; the root, whose time range follows
+    the frames, is replaced last. A run that is killed leaves all frames before.
+
+    Args:
+        directory: output folder; created if needed. It must not hold another run (film.usda, frames/, run.jsonl).
+        fps: frames per second, above 0.
+        metadata: stored in the root's customLayerData under "melpWarp". Needs "scene" (text) and "seed" (whole
+            number); may hold more text, bools, numbers and mappings of these. Schema version, thickness unit,
+            refractive index, colour gain and program versions are added.
+        prims: names of the point prims under /World, "Film" first. Every other one ("FilmE") has purpose "guide":
+            viewers show it only on demand.
+        gain: factor on the reflectance in displayColor.
+        index: refractive index of the film.
+
+    Raises:
+        InputError: an argument is out of range, or the folder holds a run, is a file or cannot be written.
+    """
+
+    def __init__(
+        self,
+        directory: str | os.PathLike,
+        fps: float,
+        metadata: Mapping,
+        prims: Sequence[str] = ("Film",),
+        gain: float = DISPLAY_GAIN,
+        index: float = WATER_INDEX,
+    ):
+        require(np.isscalar(fps) and np.isfinite(fps) and fps > 0.0, "fps", fps, "a number above 0")
+        require(isinstance(metadata.get("scene"), str), "metadata.scene", metadata.get("scene"), "text")
+        require(isinstance(metadata.get("seed"), int), "metadata.seed", metadata.get("seed"), "a whole number")
+        names = len(set(prims)) == len(prims) and "Looks" not in prims and all(str(p).isidentifier() for p in prims)
+        require(names and list(prims[:1]) == ["Film"], "prims", list(prims), '"Film" and then other names, each once')
+        display_color(np.zeros(0, np.float32), gain, index)  # checks gain and index
+        own = {
+            "schemaVersion": SCHEMA_VERSION,
+            "thicknessUnit": THICKNESS_UNIT,
+            "refractiveIndex": float(index),
+            "colorGain": float(gain),
+            "versions": _versions(),
+        }
+        taken = sorted(own.keys() & metadata.keys())
+        require(not taken, "metadata", taken, "without the keys that the writer sets")
+        self.directory = Path(directory)
+        self._fps, self._prims, self._gain, self._index = float(fps), tuple(prims), float(gain), float(index)
+        self._first: int | None = None
+        self._last: int | None = None
+        self._root = _root_layer(self._fps, self._prims, _checked_metadata(metadata) | own)
+        _claim(self.directory)
+        manifest = _new_layer(".usda", self._fps)
+        _declare(manifest, self._prims)
+        _export(manifest, self.directory / MANIFEST)
+
+    def write(self, frame_index: int, frames: Mapping[str, ParticleFrame]) -> None:
+        """Add one frame and bring the root up to date.
+
+        Args:
+            frame_index: number of the frame, file and time code, 0 to 999999; one more than the frame before.
+            frames: a frame for each of the prims. Counts may differ from frame to frame, and be 0.
+
+        Raises:
+            InputError: a wrong number, prim, shape, type or order of ids, or the disk refused the file (full). The
+                frames before stay valid and no temporary file is left.
+            SimulationError: a value is not finite, or a width or thickness is negative; the particle is named.
+        """
+        numbered = isinstance(frame_index, (int, np.integer)) and 0 <= frame_index <= MAX_FRAME
+        require(numbered, "frame_index", frame_index, f"a whole number from 0 to {MAX_FRAME}")
+        frame_index = int(frame_index)
+        follows = self._last is None or frame_index == self._last + 1
+        require(follows, "frame_index", frame_index, f"{self._last} + 1, the frame after the one before")
+        require(set(frames) == set(self._prims), "frames", sorted(frames), f"one for each of {list(self._prims)}")
+        for prim in self._prims:
+            _check_arrays(f"frame {frame_index} {prim}", frames[prim])
+        ordered = {prim: frames[prim] for prim in self._prims}
+        layer = _frame_layer(frame_index, self._fps, ordered, self._gain, self._index)
+        _export(layer, frame_path(self.directory, frame_index))
+        first = frame_index if self._first is None else self._first
+        _set_range(self._root, first, frame_index)
+        _export(self._root, self.directory / ROOT)
+        self._first, self._last = first, frame_index
+
+
+# --- reading -------------------------------------------------------------------------------------------------------
+
+
+def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> ParticleFrame:
+    """Return one particle set of one frame, bit for bit as it was written.
+
+    Raises:
+        InputError: the frame or prim is not there, or the file is damaged.
+    """
+    path = frame_path(directory, frame)
+    layer = open_layer(path)
+    arrays = {}
+    for attribute in ATTRIBUTES:
+        if attribute.field is None:
+            continue
+        value = layer.QueryTimeSample(f"/World/{prim}.{attribute.name}", float(frame))
+        if value is None:
+            raise InputError(f"{path}: /World/{prim}.{attribute.name} has no value at time code {frame}")
+        array = np.array(value, dtype=attribute.dtype)
+        arrays[attribute.field] = array.reshape(-1, 3) if attribute.columns == 3 else array
+    return ParticleFrame(**arrays)
+
+
+def read_metadata(directory: str | os.PathLike) -> dict:
+    """Return what the root says of the run.
+
+    Returns:
+        The metadata given to `CacheWriter` with schemaVersion, thicknessUnit, refractiveIndex, colorGain and
+        versions, and besides framesPerSecond, startTimeCode, endTimeCode and prims (list of names).
+
+    Raises:
+        InputError: there is no cache, or it is not one of this program.
+    """
+    path = Path(directory) / ROOT
+    layer = open_layer(path)
+    data = layer.customLayerData.get(METADATA_KEY)
+    if data is None:
+        raise InputError(f"{path}: customLayerData has no {METADATA_KEY}; this is not a cache of melp-warp")
+    world = layer.GetPrimAtPath("/World")
+    return dict(data) | {
+        "framesPerSecond": layer.framesPerSecond,
+        "startTimeCode": layer.startTimeCode,
+        "endTimeCode": layer.endTimeCode,
+        "prims": [child.name for child in world.nameChildren if child.typeName == "Points"] if world else [],
+    }
+
+
+# --- other forms ---------------------------------------------------------------------------------------------------
+
+
+def flatten(directory: str | os.PathLike, path: str | os.PathLike) -> Path:
+    """Write a cache as one file without clips, for programs that do not read clips.
+
+    All frames are held in memory at once: count on 84 bytes a particle and frame.
+
+    Args:
+        directory: folder of the cache.
+        path: file to write, .usdc, .usd or .usda; it must not exist.
+
+    Returns:
+        `path`.
+
+    Raises:
+        InputError: no cache, a wrong ending, the file exists, or it cannot be written.
+    """
+    from pxr import Usd
+
+    path = Path(path)
+    require(path.suffix in (".usd", ".usda", ".usdc"), "path", str(path), "a file name ending in .usdc, .usd or .usda")
+    require(not path.exists(), "path", str(path), "a new file")
+    root = Path(directory) / ROOT
+    open_layer(root)
+    stage = Usd.Stage.Open(str(root))
+    stage.Reload()
+    _export(stage.Flatten(addSourceFileComment=False), path)
+    return path
+
+
+def write_look(directory: str | os.PathLike) -> Path:
+    """Write film_look.usda: the cache under a MaterialX OpenPBR thin-film look, which computes its own colours.
+
+    The file lies over film.usda and copies its time range, so write it after the last frame. A free film is a
+    thin-walled sheet of index 1 (specular_ior) under a film of the liquid's index. OpenPBR takes micrometres.
+
+    Returns:
+        The path of the file; one that exists is replaced.
+
+    Raises:
+        InputError: no cache, or the file cannot be written.
+    """
+    metadata = read_metadata(directory)
+    layer = _look_layer(metadata["framesPerSecond"], metadata["refractiveIndex"])
+    layer.startTimeCode, layer.endTimeCode = metadata["startTimeCode"], metadata["endTimeCode"]
+    layer.subLayerPaths.append(f"./{ROOT}")
+    path = Path(directory) / LOOK
+    _export(layer, path)
+    return path
+
+
+def _look_layer(fps: float, index: float):
+    """Opinions that add a MaterialX output to the cache's material."""
+    from pxr import Sdf, Usd, UsdShade
+
+    kinds = Sdf.ValueTypeNames
+    layer = _new_layer(".usda", fps)
+    stage = Usd.Stage.Open(layer)
+    surface = UsdShade.Shader.Define(stage, f"{_MATERIAL}/OpenPbr")
+    surface.CreateIdAttr("ND_open_pbr_surface_surfaceshader")
+    for name, value in {
+        "base_weight": 0.0,
+        "specular_ior": 1.0,
+        "specular_roughness": 0.0,
+        "transmission_weight": 1.0,
+        "thin_film_weight": 1.0,
+        "thin_film_ior": index,
+    }.items():
+        surface.CreateInput(name, kinds.Float).Set(value)
+    surface.CreateInput("geometry_thin_walled", kinds.Bool).Set(True)
+    reader = UsdShade.Shader.Define(stage, f"{_MATERIAL}/Thickness")
+    reader.CreateIdAttr("ND_geompropvalue_float")
+    reader.CreateInput("geomprop", kinds.String).Set("thickness")
+    scale = UsdShade.Shader.Define(stage, f"{_MATERIAL}/NanometresToMicrometres")
+    scale.CreateIdAttr("ND_multiply_float")
+    scale.CreateInput("in1", kinds.Float).ConnectToSource(reader.CreateOutput("out", kinds.Float))
+    scale.CreateInput("in2", kinds.Float).Set(0.001)
+    thickness = surface.CreateInput("thin_film_thickness", kinds.Float)
+    thickness.ConnectToSource(scale.CreateOutput("out", kinds.Float))
+    output = UsdShade.Material(stage.GetPrimAtPath(_MATERIAL)).CreateSurfaceOutput("mtlx")
+    output.ConnectToSource(surface.CreateOutput("surface", kinds.Token))
+    for path in Sdf.Path(_MATERIAL).GetPrefixes():
+        layer.GetPrimAtPath(path).specifier = Sdf.SpecifierOver
+    return layer
