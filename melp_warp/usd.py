@@ -453,7 +453,7 @@ def read_metadata(directory: str | os.PathLike) -> dict:
 def flatten(directory: str | os.PathLike, path: str | os.PathLike) -> Path:
     """Write a cache as one file without clips, for programs that do not read clips.
 
-    All frames are held in memory at once: count on 84 bytes a particle and frame.
+    All frames are held in memory at once: count on 72 bytes a particle and frame.
 
     Args:
         directory: folder of the cache.
