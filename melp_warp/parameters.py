@@ -129,7 +129,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "vortex_radius": _positive("m", "core radius a of a vortex, where its speed is largest", 100.0),
         "vortex_speed": Key("m/s", "speed of a vortex at vortex_radius", -100.0, 100.0),
         # film
-        "thickness": _positive("m", "reference thickness eta_0", 1e-4),
+        "thickness": Key("m", "reference thickness eta_0", 1e-9, 1e-4),
         "tension": _positive("N/m", "surface tension of pure water, sigma_0", 10.0),
         "surfactant": _at_least_zero("mol/m^2", "reference surfactant on each side, Gamma_0", 1e-3),
         "density": _positive("kg/m^3", "density of the liquid", 1e5),

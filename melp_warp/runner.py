@@ -1,0 +1,319 @@
+"""The frame loop: simulate, write the cache and run.jsonl, show progress, stop cleanly."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from melp_warp.errors import InputError, SimulationError, require
+from melp_warp.parameters import Value
+from melp_warp.scene import Scene
+
+if TYPE_CHECKING:
+    from melp_warp.frame import ParticleFrame
+    from melp_warp.simulation import Simulation
+
+LOG = "run.jsonl"
+CHECKPOINT = "checkpoint.npz"
+PREVIEW = "preview.png"
+CONTACT = "contact.png"
+CONTACT_FRAMES = 9
+PREVIEW_SIZE, CONTACT_SIZE = 800, 400
+INTERRUPTED = 130
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run that is asked for.
+
+    Attributes:
+        scene: what to simulate.
+        name: its name, recorded in the cache.
+        parameters: its keys and values, recorded in the cache.
+        out: folder to write, new or empty.
+        device: Warp's name of the device.
+        export: "l", "e", "both", or None for L where there are any and E otherwise.
+        preview: whether to draw preview.png and contact.png at the end.
+        quiet: whether to print nothing but errors.
+    """
+
+    scene: Scene
+    name: str
+    parameters: Mapping[str, Value]
+    out: Path
+    device: str = "cpu"
+    export: str | None = None
+    preview: bool = False
+    quiet: bool = False
+
+
+def run(plan: Plan) -> int:
+    """Carry out a run.
+
+    Frame 0 is the initial state. /World/Film holds L, or E where the scene has no L or only E are exported; E go to
+    /World/FilmE besides where they are asked for.
+
+    Returns:
+        0, or 130 after Ctrl-C; the cache then holds every frame that was finished.
+
+    Raises:
+        InputError: the output folder is taken or cannot be written, the disk is full, or the solver refuses the scene.
+        SimulationError: the run cannot go on; the cache holds the frames before, checkpoint.npz the last good state.
+    """
+    require(plan.export != "l" or plan.scene.l_per_e > 0, "--export", plan.export, "e or both: the scene has no L")
+    _check_folder(plan.out)
+    try:
+        with _Progress(plan) as progress:
+            simulation = _simulation(plan)
+            _simulate(simulation, plan.scene.frames, _Output(plan, simulation), progress)
+        images = _draw_run(plan) if plan.preview else []
+    except KeyboardInterrupt:
+        print(f"melp-warp: interrupted: {_kept(plan.out)}", file=sys.stderr)
+        return INTERRUPTED
+    if not plan.quiet:
+        _say_finished(plan.out, images)
+    return 0
+
+
+def _simulation(plan: Plan) -> Simulation:
+    _quiet_warp()
+    try:
+        from melp_warp.simulation import Simulation
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith("melp_warp.kernels"):
+            raise InputError("melp-warp is not installed: run `pip install -e .` in the checkout first") from error
+        raise
+    return Simulation(plan.scene, plan.device)
+
+
+def _simulate(simulation: Simulation, frames: int, output: _Output, progress: _Progress) -> None:
+    """Write frame 0, then advance and write frame after frame."""
+    output.write(simulation)
+    while simulation.frame < frames:
+        start = time.perf_counter()
+        try:
+            simulation.advance_frame()
+        except SimulationError as error:
+            raise SimulationError(f"{error}; {output.keep(simulation)}") from error
+        diagnostics = output.write(simulation)
+        progress.advance(simulation, diagnostics, time.perf_counter() - start)
+
+
+def _check_folder(folder: Path) -> None:
+    """Refuse, before anything costly, a folder that is taken or that cannot be written."""
+    if folder.is_dir():
+        held = sorted(os.listdir(folder))
+        if held:
+            more = f" and {len(held) - 1} more" if len(held) > 1 else ""
+            raise InputError(f"--out must be a new or empty folder, got {str(folder)!r}, which holds {held[0]}{more}")
+    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    require(existing.is_dir(), "--out", str(folder), f"a folder; {existing} is a file")
+    require(os.access(existing, os.W_OK | os.X_OK), "--out", str(folder), f"writable; {existing} is not")
+
+
+class _Progress:
+    """A bar on stderr with frame, simulated time, time step, steps a second and time left."""
+
+    def __init__(self, plan: Plan):
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=20),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[state]}"),
+            TimeRemainingColumn(),
+            TextColumn("left"),
+            console=Console(stderr=True),
+            disable=plan.quiet,
+        )
+        self._name = plan.name
+        self._task = self._bar.add_task(f"{plan.name}: preparing", total=plan.scene.frames, state="")
+
+    def __enter__(self) -> _Progress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        # an error is told in one line: no bar before it
+        self._bar.live.transient = kind is not None and issubclass(kind, Exception)
+        self._bar.stop()
+
+    def advance(self, simulation: Simulation, diagnostics: Mapping, seconds: float) -> None:
+        """A frame is done, which took `seconds` of wall time."""
+        rate = diagnostics["substeps"] / max(seconds, 1e-9)
+        state = f"t {simulation.time:.4g} s, dt {diagnostics['dt']:.3g} s, {rate:.3g} steps/s,"
+        self._bar.update(self._task, completed=simulation.frame, description=self._name, state=state)
+
+
+class _Output:
+    """The folder of a run: the cache and a line of run.jsonl for every frame."""
+
+    def __init__(self, plan: Plan, simulation: Simulation):
+        from melp_warp.usd import CacheWriter
+
+        self._folder = plan.out
+        shown = "l" if simulation.has_l and plan.export != "e" else "e"
+        self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
+        metadata = {
+            "scene": plan.name,
+            "seed": plan.scene.seed,
+            "device": plan.device,
+            "parameters": {key: "auto" if value is None else value for key, value in plan.parameters.items()},
+        }
+        with _finish_first():
+            self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets))
+
+    def write(self, simulation: Simulation) -> dict:
+        """Write the present frame and return its diagnostics."""
+        diagnostics = simulation.diagnostics()
+        sets: dict[str, ParticleFrame] = {which: simulation.particles(which) for which in set(self._sets.values())}
+        with _finish_first():
+            try:
+                self._cache.write(simulation.frame, {prim: sets[which] for prim, which in self._sets.items()})
+            except SimulationError as error:
+                raise SimulationError(f"{error}; {_kept(self._folder)}") from error
+            self._log({"frame": simulation.frame, **diagnostics})
+        return diagnostics
+
+    def _log(self, line: Mapping) -> None:
+        path = self._folder / LOG
+        try:
+            with path.open("a", encoding="utf-8") as log:
+                log.write(json.dumps(_plain(line), allow_nan=False) + "\n")
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror}; the frames before are complete") from error
+
+    def keep(self, simulation: Simulation) -> str:
+        """Save the last good state and say what is left of the run."""
+        kept = _kept(self._folder)
+        try:
+            simulation.save_checkpoint(self._folder / CHECKPOINT)
+        except OSError as error:
+            return f"{kept}, {CHECKPOINT} could not be written: {error.strerror}"
+        return f"{kept} and the last good state in {CHECKPOINT}"
+
+
+def _plain(value: object) -> object:
+    """The value with NumPy numbers made Python's, and what is not finite made null, which JSON can say."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextlib.contextmanager
+def _finish_first() -> Iterator[None]:
+    """Hold Ctrl-C back until the block is done."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pending = []
+    previous = signal.signal(signal.SIGINT, lambda *_: pending.append(True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    if pending:
+        raise KeyboardInterrupt
+
+
+def _kept(folder: Path) -> str:
+    """What is left of a run that did not end, in words."""
+    from melp_warp.usd import list_frames
+
+    frames = list_frames(folder)
+    if not frames:
+        return "no frame was written"
+    return f"{folder} holds {len(frames)} frame{'s' if len(frames) > 1 else ''}, {frames[0]} to {frames[-1]}"
+
+
+def _say_finished(folder: Path, images: list[Path]) -> None:
+    from melp_warp.usd import ROOT
+
+    print(f"{_kept(folder)}: {folder / ROOT}")
+    for image in images:
+        print(f"drawn: {image}")
+    print(f"Open the .usda in usdview, Houdini or Omniverse, or draw a frame: melp-warp preview {folder}")
+
+
+def draw_frame(folder: Path, frame: int | None, out: Path | None, size: int, device: str = "cpu") -> Path:
+    """Draw a frame of a cache to a PNG file.
+
+    Args:
+        folder: folder of the cache.
+        frame: its number; None for the last.
+        out: file to write; None for preview.png in the folder.
+        size: width and height, pixels.
+        device: Warp's name of the device.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: there is no such frame, the size is out of range or the file cannot be written.
+    """
+    from melp_warp import preview
+    from melp_warp.usd import list_frames, read_frame
+
+    _quiet_warp()
+    frames = list_frames(folder)
+    require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
+    frame = frames[-1] if frame is None else frame
+    require(frame in frames, "--frame", frame, f"from {frames[0]} to {frames[-1]}")
+    require(8 <= size <= 8192, "--size", size, "from 8 to 8192 pixels")
+    out = out or folder / PREVIEW
+    image = preview.render(read_frame(folder, frame), size, size, _camera(folder, frames), device)
+    preview.save_png(image, out)
+    return out
+
+
+def _draw_run(plan: Plan) -> list[Path]:
+    """Draw the last frame, and a sheet of frames spread over the run."""
+    from melp_warp import preview
+    from melp_warp.usd import list_frames, read_frame
+
+    last = draw_frame(plan.out, None, None, PREVIEW_SIZE, plan.device)
+    frames = list_frames(plan.out)
+    camera = _camera(plan.out, frames)
+    picked = _picked(frames)
+    images = [
+        preview.render(read_frame(plan.out, frame), CONTACT_SIZE, CONTACT_SIZE, camera, plan.device) for frame in picked
+    ]
+    sheet = plan.out / CONTACT
+    preview.save_png(preview.contact_sheet(images, [f"{frame / plan.scene.fps:.3g} s" for frame in picked]), sheet)
+    return [last, sheet]
+
+
+def _camera(folder: Path, frames: list[int]):
+    """One camera for all frames of a run."""
+    from melp_warp.preview import Camera
+    from melp_warp.usd import read_frame
+
+    return Camera.fit([read_frame(folder, frame) for frame in _picked(frames)])
+
+
+def _picked(frames: list[int]) -> list[int]:
+    """Frames spread evenly, the first and the last among them."""
+    count = min(CONTACT_FRAMES, len(frames))
+    return [frames[round(i * (len(frames) - 1) / max(1, count - 1))] for i in range(count)]
+
+
+def _quiet_warp() -> None:
+    import warp as wp
+
+    wp.config.quiet = True
