@@ -148,7 +148,7 @@ class _Progress:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         # an error is told in one line: no bar before it
         self._bar.live.transient = kind is not None and issubclass(kind, Exception)
-        self._bar.stop()
+        self._bar.live.stop()
 
     def advance(self, simulation: Simulation, diagnostics: Mapping, seconds: float) -> None:
         """A frame is done, which took `seconds` of wall time."""
