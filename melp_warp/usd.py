@@ -128,6 +128,7 @@ def _checked_metadata(metadata: Mapping, name: str = "metadata") -> dict:
         if isinstance(value, Mapping):
             result[key] = _checked_metadata(value, f"{name}.{key}")
         else:
+            value = value.item() if isinstance(value, np.generic) else value
             allowed = isinstance(value, (str, bool, int, float))
             require(allowed, f"{name}.{key}", value, "text, a bool, a number or a mapping of these")
             small = not isinstance(value, int) or -(2**63) <= value < 2**63
@@ -348,7 +349,9 @@ class CacheWriter:
     ):
         require(np.isscalar(fps) and np.isfinite(fps) and fps > 0.0, "fps", fps, "a number above 0")
         require(isinstance(metadata.get("scene"), str), "metadata.scene", metadata.get("scene"), "text")
-        require(isinstance(metadata.get("seed"), int), "metadata.seed", metadata.get("seed"), "a whole number")
+        require(
+            isinstance(metadata.get("seed"), (int, np.integer)), "metadata.seed", metadata.get("seed"), "a whole number"
+        )
         names = len(set(prims)) == len(prims) and "Looks" not in prims and all(str(p).isidentifier() for p in prims)
         require(names and list(prims[:1]) == ["Film"], "prims", list(prims), '"Film" and then other names, each once')
         display_color(np.zeros(0, np.float32), gain, index)  # checks gain and index
