@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import math
 import os
 import signal
@@ -72,6 +73,7 @@ def run(plan: Plan) -> int:
     """
     require(plan.export != "l" or plan.scene.l_per_e > 0, "--export", plan.export, "e or both: the scene has no L")
     _check_folder(plan.out)
+    _start_warp(plan.device)
     try:
         with _Progress(plan) as progress:
             simulation = _simulation(plan)
@@ -86,7 +88,6 @@ def run(plan: Plan) -> int:
 
 
 def _simulation(plan: Plan) -> Simulation:
-    _quiet_warp()
     try:
         from melp_warp.simulation import Simulation
     except ModuleNotFoundError as error:
@@ -267,10 +268,10 @@ def draw_frame(folder: Path, frame: int | None, out: Path | None, size: int, dev
     Raises:
         InputError: there is no such frame, the size is out of range or the file cannot be written.
     """
+    _start_warp(device)
     from melp_warp import preview
     from melp_warp.usd import list_frames, read_frame
 
-    _quiet_warp()
     frames = list_frames(folder)
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
     frame = frames[-1] if frame is None else frame
@@ -313,7 +314,28 @@ def _picked(frames: list[int]) -> list[int]:
     return [frames[round(i * (len(frames) - 1) / max(1, count - 1))] for i in range(count)]
 
 
-def _quiet_warp() -> None:
+def _start_warp(device: str) -> None:
+    """Start Warp without its announcements; call before importing anything that would start it."""
     import warp as wp
 
-    wp.config.quiet = True
+    if hasattr(wp.config, "log_level"):
+        wp.config.log_level = logging.ERROR  # Warp counts like logging
+    else:
+        wp.config.quiet = True
+    with _muted_stderr() if device == "cpu" else contextlib.nullcontext():
+        wp.init()
+
+
+@contextlib.contextmanager
+def _muted_stderr() -> Iterator[None]:
+    """Drop what native code writes to stderr: Warp warns that there is no CUDA driver even where none is asked for."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(sink)
+        os.close(kept)

@@ -430,6 +430,13 @@ def test_preview_command(tmp_path, capsys):
     one_line(capsys, "No such file or directory")
 
 
+def test_preview_says_nothing_else(tmp_path):
+    out = tmp_path / "cache"
+    assert run("equilibrium", "--frames", 0, "--quiet", "--out", out, *FEW) == 0
+    done = process("-m", "melp_warp", "preview", out, "--size", "32")
+    assert (done.stdout, done.stderr) == (f"{out}/preview.png\n", "")
+
+
 # --- as processes ----------------------------------------------------------------------------------------------------
 
 
