@@ -171,7 +171,7 @@ def _check_clips(root, world) -> list[str]:
         "templateStride": 1.0,
         "templateActiveOffset": None,
     }
-    problems = _expect(f"{ROOT}: /World: clips manifestAssetPath", manifest and manifest.path, f"./{MANIFEST}")
+    problems = _expect(f"{ROOT}: /World: clips manifestAssetPath", getattr(manifest, "path", None), f"./{MANIFEST}")
     for key, value in wanted.items():
         problems += _expect(f"{ROOT}: /World: clips {key}", clips.get(key), value)
     return problems
@@ -381,14 +381,16 @@ def _check_through_clips(stage, root, prims: list[str]) -> list[str]:
     wanted = [float(time) for time in range(int(root.startTimeCode), int(root.endTimeCode) + 1)]
     problems = []
     for prim in prims:
-        for attribute in ATTRIBUTES:
-            where = f"{ROOT}: /World/{prim}.{attribute.name}"
-            found = stage.GetAttributeAtPath(f"/World/{prim}.{attribute.name}")
-            times = found.GetTimeSamples() if found else []
-            if times != wanted:
-                problems.append(f"{where}: the stage has {len(times)} samples, must have one for each frame")
+        uneven, elsewhere = [], []
+        for name in (attribute.name for attribute in ATTRIBUTES):
+            found = stage.GetAttributeAtPath(f"/World/{prim}.{name}")
+            if not found or found.GetTimeSamples() != wanted:
+                uneven.append(name)
             elif found.GetResolveInfo(wanted[0]).GetSource() != Usd.ResolveInfoSourceValueClips:
-                problems.append(f"{where}: the stage does not take the value from the frames")
+                elsewhere.append(name)
+        for names, fault in ((uneven, "not one sample for each frame"), (elsewhere, "values from outside the frames")):
+            if names:
+                problems.append(f"{ROOT}: /World/{prim}: {', '.join(names)}: the stage has {fault}")
     return problems
 
 

@@ -97,18 +97,18 @@ def list_frames(directory: str | os.PathLike) -> list[int]:
 def _check_arrays(label: str, frame: ParticleFrame) -> None:
     """Refuse what USD would take silently: wrong shapes and types, NaN, ids out of order, negative thickness."""
     count = len(frame.points)
-    for attribute in ATTRIBUTES:
-        if attribute.field is None:
-            continue
-        name = f"{label}.{attribute.field}"
+    stored = [attribute for attribute in ATTRIBUTES if attribute.field]
+    for attribute in stored:
         array = getattr(frame, attribute.field)
         shape = (count, 3) if attribute.columns == 3 else (count,)
-        dtype = np.dtype(attribute.dtype)
+        dtype = str(np.dtype(attribute.dtype))
         got = (array.shape, str(array.dtype)) if isinstance(array, np.ndarray) else type(array).__name__
-        require(got == (shape, str(dtype)), name, got, f"an array {list(shape)} of {dtype}")
-        finite = np.isfinite(array.reshape(count, attribute.columns)).all(axis=1)
+        require(got == (shape, dtype), f"{label}.{attribute.field}", got, f"an array {list(shape)} of {dtype}")
+    for attribute in stored:
+        finite = np.isfinite(getattr(frame, attribute.field).reshape(count, attribute.columns)).all(axis=1)
         if not finite.all():
-            raise SimulationError(f"{name} is not finite at particle id {frame.ids[np.argmin(finite)]}")
+            at = frame.ids[np.argmin(finite)]
+            raise SimulationError(f"{label}.{attribute.field} is not finite at particle id {at}")
     rising = np.diff(frame.ids) > 0
     if not rising.all():
         at = int(np.argmin(rising))
@@ -185,7 +185,8 @@ def _export(layer, path: Path) -> None:
     """Write `layer` to `path` such that there is never a part of a file under that name."""
     from pxr import Tf
 
-    partial = path.with_name(f"{path.stem}.tmp{path.suffix}")
+    # The dot in front keeps a leftover out of the file pattern of the clips, film.*.usdc.
+    partial = path.with_name(f".{path.stem}.tmp{path.suffix}")
     try:
         if not layer.Export(str(partial)):
             raise OSError(f"USD did not write {partial.name}")
