@@ -9,7 +9,6 @@ eye), thickness is in nanometres, colours are linear sRGB.
 """
 
 import warp as wp
-
 from melp_warp.kernels.color import film_color
 
 wp.set_module_options({"enable_backward": False})
@@ -26,7 +25,6 @@ RING = wp.constant(1)
 FRAME = wp.constant(2)
 
 FAR = wp.constant(1.0e30)
-CROWD = wp.constant(14.0)
 
 layer_floats = wp.types.vector(length=12, dtype=wp.float32)
 layer_ints = wp.types.vector(length=12, dtype=wp.int32)
@@ -102,18 +100,19 @@ def crowd_radius(
     region: wp.array[wp.int32],
     i: int,
     spacing: float,
+    crowd: float,
 ) -> float:
-    """Radius about particle `i` that holds about CROWD neighbours of its sheet, found by counting, m."""
-    radius = 2.1 * spacing
+    """Radius about particle `i` that holds about `crowd` particles of its sheet, found by counting, m."""
+    radius = spacing * wp.sqrt(crowd / 3.14159)
     for _trial in range(5):
         count = float(0.0)
         for j in wp.hash_grid_query(grid, points[i], radius):
             if wp.length_sq(points[j] - points[i]) < radius * radius:
                 if same_sheet(normals[i], normals[j], region[i], region[j]):
                     count += 1.0
-        if count > 0.75 * CROWD and count < 1.33 * CROWD:
+        if count > 0.75 * crowd and count < 1.33 * crowd:
             return radius
-        radius *= wp.clamp(wp.sqrt(CROWD / wp.max(count, 1.0)), 0.6, 1.5)
+        radius *= wp.clamp(wp.sqrt(crowd / wp.max(count, 1.0)), 0.6, 1.5)
         radius = wp.min(radius, 6.0 * spacing)
     return radius
 
@@ -126,6 +125,7 @@ def fit_splats(
     thickness: wp.array[wp.float32],
     region: wp.array[wp.int32],
     spacing: float,
+    crowd: float,
     # outputs
     splats: wp.array[Splat],
 ):
@@ -141,11 +141,12 @@ def fit_splats(
         thickness: [n] nm.
         region: [n] sheets of different regions are never blended.
         spacing: usual distance of neighbours, m.
+        crowd: particles within a splat's radius.
         splats: [n].
     """
     i = wp.tid()
     n = normals[i]
-    radius = crowd_radius(grid, points, normals, region, i, spacing)
+    radius = crowd_radius(grid, points, normals, region, i, spacing, crowd)
     axis = wp.vec3(1.0, 0.0, 0.0)
     if wp.abs(n[0]) > 0.6:
         axis = wp.vec3(0.0, 1.0, 0.0)
@@ -367,14 +368,18 @@ def backdrop(environment: int, x: float, y: float) -> wp.vec3:
 
 
 @wp.func
+def sample_point(column: int, row: int, per_pixel: int) -> wp.vec2:
+    """Where a sample lies, in samples from the upper left: a grid in each pixel, rotated against stair steps."""
+    sub_x = (float(column % per_pixel) + 0.5) / float(per_pixel) - 0.5
+    sub_y = (float(row % per_pixel) + 0.5) / float(per_pixel) - 0.5
+    return wp.vec2(float(column) + 0.5 + sub_y, float(row) + 0.5 - sub_x)
+
+
+@wp.func
 def sample_place(view: View, column: int, row: int) -> wp.vec2:
-    """Picture coordinates (-1..1, y up) of a sample: a grid in each pixel, rotated against stair steps."""
-    inverse = 1.0 / float(view.samples)
-    sub_x = (float(column % view.samples) + 0.5) * inverse - 0.5
-    sub_y = (float(row % view.samples) + 0.5) * inverse - 0.5
-    x = (float(column) + 0.5 + sub_y) / float(view.columns)
-    y = (float(row) + 0.5 - sub_x) / float(view.rows)
-    return wp.vec2(2.0 * x - 1.0, 1.0 - 2.0 * y)
+    """Picture coordinates (-1..1, y up) of a sample."""
+    p = sample_point(column, row, view.samples)
+    return wp.vec2(2.0 * p[0] / float(view.columns) - 1.0, 1.0 - 2.0 * p[1] / float(view.rows))
 
 
 @wp.func
@@ -449,7 +454,7 @@ def compose(
 ) -> wp.vec3:
     """Radiance of a sample from its layers (sums not yet divided by `weight`), nearest first, over `behind`.
 
-    Two layers of different regions that touch are the two halves of one film: their thicknesses add up. A
+    Two layers of different regions that touch, back to back, are the two halves of one film: their thicknesses add up. A
     film ends where its splats lie on one side: `shift` over `crowd`, 0 inside and 0.3 half a spacing beyond the last
     particle, is large. `cover` fades all layers.
     """
@@ -459,8 +464,8 @@ def compose(
     for k in range(used):
         place[k] = distance[k] / weight[k]
     for _turn in range(used):
-        k = int(0)
-        other = int(-1)
+        k = wp.int32(0)
+        other = wp.int32(-1)
         for m in range(1, used):
             if place[m] < place[k]:
                 k = m
@@ -471,8 +476,10 @@ def compose(
             cosine = wp.dot(n, ray)
             nm = wp.max(thickness[k] / weight[k], 0.0)
             for m in range(used):
-                if region[m] != region[k] and (place[m] - t) * wp.abs(cosine) < 0.2 * size[k]:
-                    other = m
+                gap = place[m] - t
+                if region[m] != region[k] and gap < size[k] and gap * wp.abs(cosine) < 0.2 * size[k]:
+                    if normal[m, 0] * n[0] + normal[m, 1] * n[1] + normal[m, 2] * n[2] < 0.0:
+                        other = m
             if other >= 0:
                 place[other] = FAR
                 nm += wp.max(thickness[other] / weight[other], 0.0)
@@ -513,7 +520,7 @@ def draw_samples(
 ):
     """Radiance of each sample.
 
-    A meeting of weight (1 - |y|^2/radius^2)^8 joins the layer of its region and facing whose mean distance is nearer
+    A meeting of weight (1 - |y|^2/radius^2)^10 joins the layer of its region and facing whose mean distance is nearer
     than the splat's radius, or opens a new one. A layer reflects R and lets (1 - R)^2 of what lies behind it come to
     the eye: once on the way in, once on the way out.
 
@@ -538,7 +545,7 @@ def draw_samples(
     place = sample_place(view, column, row)
     ray = wp.normalize(view.slope_x * place[0] * view.right + view.slope_y * place[1] * view.up - view.back)
 
-    used = int(0)
+    used = wp.int32(0)
     weight = layer_floats()
     distance = layer_floats()
     thickness = layer_floats()
@@ -560,7 +567,7 @@ def draw_samples(
                 q = wp.length_sq(y) / (s.radius * s.radius)
                 if q < 1.0:
                     t = reach + roots[facing]
-                    layer = int(0)
+                    layer = wp.int32(0)
                     while layer < used:
                         if side[layer] == facing and region[layer] == s.region:
                             if wp.abs(t - distance[layer] / weight[layer]) < s.radius:
@@ -577,8 +584,8 @@ def draw_samples(
                         shift[layer, 0] += w * y[0]
                         shift[layer, 1] += w * y[1]
                         shift[layer, 2] += w * y[2]
-                        w = w * w
-                        w = w * w + 1.0e-12
+                        w *= w * w * w * w
+                        w += 1.0e-12
                         m = w * (s.normal - s.curvature * y)
                         weight[layer] += w
                         distance[layer] += w * t
@@ -642,11 +649,12 @@ def develop(
     Args:
         samples: [rows per_pixel, columns per_pixel] radiance.
         per_pixel: samples along a pixel's side.
-        plain: leave the film response out.
+        plain: cut at 1 instead of the film response.
         picture: [rows, columns] linear 0..1.
         glare: [rows, columns] mean of what exceeds 1, at most 4.
     """
-    row, column = wp.tid()
+    row = wp.tid() / picture.shape[1]
+    column = wp.tid() % picture.shape[1]
     sum = wp.vec3(0.0, 0.0, 0.0)
     over = wp.vec3(0.0, 0.0, 0.0)
     total = float(0.0)
@@ -654,12 +662,11 @@ def develop(
     for r in range(row * per_pixel - reach, (row + 1) * per_pixel + reach):
         for c in range(column * per_pixel - reach, (column + 1) * per_pixel + reach):
             if r >= 0 and r < samples.shape[0] and c >= 0 and c < samples.shape[1]:
-                x = (float(c) + 0.5) / float(per_pixel) - float(column) - 0.5
-                y = (float(r) + 0.5) / float(per_pixel) - float(row) - 0.5
-                w = wp.exp(-2.8 * (x * x + y * y))
+                p = sample_point(c, r, per_pixel) / float(per_pixel) - wp.vec2(float(column) + 0.5, float(row) + 0.5)
+                w = wp.exp(-2.6 * wp.length_sq(p))
                 color = into_gamut(samples[r, c])
                 if plain:
-                    sum += w * color
+                    sum += w * wp.min(color, wp.vec3(1.0, 1.0, 1.0))
                 else:
                     sum += w * film_response(color)
                 for channel in range(3):

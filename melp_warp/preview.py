@@ -24,6 +24,7 @@ from melp_warp import optics
 from melp_warp.errors import require
 from melp_warp.frame import ParticleFrame
 from melp_warp.kernels import render as kernels
+from melp_warp.launch import launch
 
 ENVIRONMENTS = {"white": kernels.WHITE, "studio": kernels.STUDIO, "panel": kernels.PANEL}
 """Lights to see a film by; see `render`."""
@@ -32,6 +33,8 @@ _OUTLINES = {"ring": kernels.RING, "frame": kernels.FRAME}
 _TABLE_NM = optics.DISPLAY_MAX_THICKNESS
 _PICTURE_SIZES = (8, 8192)
 _FIT_POINTS = 4096
+_CROWD = 18
+"""Particles within a splat's radius: enough that points of no order leave no holes."""
 
 
 @dataclass(frozen=True)
@@ -254,7 +257,7 @@ def render(
     camera: Camera | None = None,
     device: str = "cpu",
     exposure: float = optics.DISPLAY_GAIN,
-    layers: int = 4,
+    layers: int | None = None,
     samples: int = 2,
     environment: str = "auto",
     index: float = optics.WATER_INDEX,
@@ -268,7 +271,7 @@ def render(
         camera: None to fit one to this frame.
         device: Warp device.
         exposure: gain on the light; 13 shows the brightest interference colour in white light as white.
-        layers: films seen behind one another at most, 1 to 12.
+        layers: films seen behind one another at most, 1 to 12; None for 4 and, with several regions, 12.
         samples: samples along a pixel's side, 1 to 4.
         environment: "studio" (dark room, window, soft boxes), "panel" (large diffuser behind the camera), "white"
             (light of 1 from everywhere, black backdrop: for measuring) or "auto": panel where the camera faces a
@@ -283,6 +286,8 @@ def render(
     """
     _check_options(width, height, exposure, layers, samples, environment)
     data = _checked_frame(frame)
+    if layers is None:
+        layers = 4 if np.ptp(data["region"]) == 0 else int(kernels.MAX_LAYERS)
     camera = camera or Camera.fit(frame, aspect=width / height)
     device = _checked_device(device)
     if environment == "auto":
@@ -297,19 +302,20 @@ def render(
     picture = wp.empty((height, width), dtype=wp.vec3, device=device)
     glare = wp.empty_like(picture)
     plain = environment == "white"
-    wp.launch(kernels.develop, (height, width), [radiance, samples, plain], [picture, glare], device=device)
-    linear = picture.numpy()
-    if not plain:
-        linear = linear + 0.06 * _blurred(glare.numpy(), max(width, height) / 90.0)
-    return _encode(linear)
+    launch(kernels.develop, height * width, [radiance, samples, plain], [picture, glare], device)
+    if plain:
+        return _encode(picture.numpy(), 0.5)
+    glow = _blurred(glare.numpy(), max(width, height) / 90.0)
+    return _encode(picture.numpy() + 0.06 * glow, _dither(width, height))
 
 
 def _check_options(width, height, exposure, layers, samples, environment) -> None:
+    """`InputError` for an option of `render` that is out of range."""
     low, high = _PICTURE_SIZES
     for name, value, least, most in (
         ("width", width, low, high),
         ("height", height, low, high),
-        ("layers", layers, 1, int(kernels.MAX_LAYERS)),
+        ("layers", 4 if layers is None else layers, 1, int(kernels.MAX_LAYERS)),
         ("samples", samples, 1, 4),
     ):
         whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
@@ -319,7 +325,8 @@ def _check_options(width, height, exposure, layers, samples, environment) -> Non
     require(environment in ("auto", *ENVIRONMENTS), "environment", environment, f"auto, {', '.join(ENVIRONMENTS)}")
 
 
-def _checked_device(device: str) -> wp.context.Device:
+def _checked_device(device: str):
+    """The Warp device of that name."""
     try:
         return wp.get_device(device)
     except ValueError:
@@ -357,6 +364,7 @@ def _view(camera: Camera, width: int, height: int, samples: int) -> kernels.View
 
 
 def _look(environment: str, exposure: float, layers: int) -> kernels.Look:
+    """The options of `render` as the kernels take them."""
     look = kernels.Look()
     look.environment = ENVIRONMENTS[environment]
     look.gain, look.layers, look.max_thickness = float(exposure), layers, _TABLE_NM
@@ -396,9 +404,10 @@ def _splats(frame: ParticleFrame, data: dict[str, np.ndarray], camera: Camera, d
         upload("region", wp.int32, np.int32),
     ]
     grid = wp.HashGrid(64, 64, 64, device=device)
-    grid.build(inputs[0], 2.5 * spacing)
+    grid.build(inputs[0], 2.4 * spacing)
     splats = wp.empty(len(points), dtype=kernels.Splat, device=device)
-    wp.launch(kernels.fit_splats, len(points), [grid.id, *inputs, spacing], [splats], device=device)
+    crowd = float(min(_CROWD, len(points)))
+    launch(kernels.fit_splats, len(points), [grid.id, *inputs, spacing, crowd], [splats], device)
     return splats
 
 
@@ -406,7 +415,7 @@ def _bin_tiles(view: kernels.View, splats: wp.array, device) -> tuple[wp.array, 
     """For each tile of the picture where its splats begin and end in the list of members."""
     n = len(splats)
     counts = wp.empty(n, dtype=wp.int32, device=device)
-    wp.launch(kernels.count_tiles, n, [view, splats], [counts], device=device)
+    launch(kernels.count_tiles, n, [view, splats], [counts], device)
     ends = wp.empty_like(counts)
     wp.utils.array_scan(counts, ends, inclusive=True)
     total = int(ends[n - 1 :].numpy()[0])
@@ -416,9 +425,9 @@ def _bin_tiles(view: kernels.View, splats: wp.array, device) -> tuple[wp.array, 
     tile_begins = wp.zeros(tile_count, dtype=wp.int32, device=device)
     tile_ends = wp.zeros(tile_count, dtype=wp.int32, device=device)
     if total > 0:
-        wp.launch(kernels.list_tiles, n, [view, splats, ends, counts], [tiles, members], device=device)
+        launch(kernels.list_tiles, n, [view, splats, ends, counts], [tiles, members], device)
         wp.utils.radix_sort_pairs(tiles, members, total)
-        wp.launch(kernels.find_tile_ends, total, [tiles[:total]], [tile_begins, tile_ends], device=device)
+        launch(kernels.find_tile_ends, total, [tiles[:total]], [tile_begins, tile_ends], device)
     return tile_begins, tile_ends, members
 
 
@@ -427,16 +436,16 @@ def _launch_all(kernel: wp.Kernel, count: int, inputs: list, output: wp.array, d
     workers = min(os.cpu_count() or 1, 16) if device.is_cpu else 1
     part = -(-count // (8 * workers)) if workers > 1 else count
 
-    def launch(first):
-        wp.launch(kernel, min(part, count - first), [*inputs, first], [output], device=device)
+    def launch_part(first):
+        launch(kernel, min(part, count - first), [*inputs, first], [output], device)
 
     starts = range(0, count, part)
     if workers == 1:
         for first in starts:
-            launch(first)
+            launch_part(first)
     else:
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(launch, starts))
+            list(pool.map(launch_part, starts))
 
 
 @lru_cache(maxsize=4)
@@ -457,11 +466,17 @@ def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
     return image
 
 
-def _encode(linear: np.ndarray) -> np.ndarray:
-    """Linear sRGB to sRGB bytes."""
+def _dither(width: int, height: int) -> np.ndarray:
+    """Fixed pattern [height, width, 1] in 0..1 (interleaved gradient noise): keeps dark gradients free of bands."""
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    return ((52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1.0)) % 1.0)[..., None]
+
+
+def _encode(linear: np.ndarray, offset: float | np.ndarray) -> np.ndarray:
+    """Linear sRGB to sRGB bytes; `offset` is added before the fraction is cut, 0.5 to round."""
     x = np.clip(linear, 0.0, 1.0)
     curve = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-6) ** (1.0 / 2.4) - 0.055)
-    return (255.0 * curve + 0.5).astype(np.uint8)
+    return (255.0 * curve + offset).clip(0.0, 255.0).astype(np.uint8)
 
 
 def save_png(image: np.ndarray, path: str | os.PathLike) -> None:
@@ -482,6 +497,7 @@ def save_png(image: np.ndarray, path: str | os.PathLike) -> None:
 
 
 def _checked_image(image: object) -> np.ndarray:
+    """`image` if it is a picture [h, w, 3] uint8."""
     ok = isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] == 3
     got = (image.shape, str(image.dtype)) if isinstance(image, np.ndarray) else type(image).__name__
     require(ok and image.size > 0, "image", got, "an array [h, w, 3] of uint8")
