@@ -454,7 +454,7 @@ def compose(
 ) -> wp.vec3:
     """Radiance of a sample from its layers (sums not yet divided by `weight`), nearest first, over `behind`.
 
-    Two layers of different regions that touch, back to back, are the two halves of one film: their thicknesses add up. A
+    Two layers of different regions that touch, back to back, are the halves of one film: their thicknesses add up. A
     film ends where its splats lie on one side: `shift` over `crowd`, 0 inside and 0.3 half a spacing beyond the last
     particle, is large. `cover` fades all layers.
     """

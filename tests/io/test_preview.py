@@ -116,6 +116,17 @@ def test_halves_of_a_shared_wall_make_one_film():
     assert np.abs(image[16, 16] - encode(5.0 * optics.interference_color(300.0))).max() <= 1.5
 
 
+def test_bubbles_apart_are_never_joined():
+    """One bubble behind another looks the same whether or not they are one region."""
+    s = Sphere(RADIUS).sample(1200)
+    points = np.concatenate([s.points, s.points + np.float64([0.05, 0.0, -0.25])])
+    normals = np.concatenate([s.normals, s.normals])
+    one = make_frame(points, normals, 400.0)
+    two = make_frame(points, normals, 400.0, np.repeat([0, 1], len(s.points)))
+    camera = front(one)
+    np.testing.assert_array_equal(white(one, camera=camera, layers=8), white(two, camera=camera, layers=8))
+
+
 def test_scattered_points_leave_no_holes_and_no_dots():
     """Points of no order, with gaps of several spacings, give the picture of even points within 3 codes."""
     size = 128
