@@ -258,7 +258,7 @@ def _frame_layer(frame_index: int, fps: float, frames: Mapping[str, ParticleFram
         values = {}
         for attribute in ATTRIBUTES[:-1]:
             array = getattr(frame, attribute.field) if attribute.field else display_color(frame.thickness, gain, index)
-            values[attribute.name] = getattr(Vt, attribute.array).FromNumpy(np.ascontiguousarray(array))
+            values[attribute.name] = getattr(Vt, attribute.array).FromNumpy(array)
         values["extent"] = UsdGeom.Points.ComputeExtent(values["points"], values["widths"])
         for name, value in values.items():
             layer.SetTimeSample(f"/World/{prim}.{name}", float(frame_index), value)

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -273,6 +274,36 @@ def test_a_killed_process_leaves_a_valid_cache(tmp_path):
     assert problems == []
     assert read_metadata(folder)["endTimeCode"] >= last == 4
     assert_same(read_frame(folder, last), make_frame(20000))
+
+
+def test_what_a_killed_write_leaves_does_no_harm(tmp_path, frames, monkeypatch):
+    """Part of a frame under the temporary name: the cache opens, the checker names the file."""
+    writer = write_run(tmp_path / "run", frames[:2])
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(os, "replace", stop)
+        patch.setattr(Path, "unlink", lambda *_, **__: None)
+        writer.write(2, {"Film": frames[2]})
+    (left,) = set(os.listdir(tmp_path / "run" / "frames")) - {"film.000000.usdc", "film.000001.usdc"}
+    path = tmp_path / "run" / "frames" / left
+    path.write_bytes(path.read_bytes()[:100])
+    (problem,) = check_cache(tmp_path / "run")
+    assert problem.startswith(f"frames/{left}: left over from a write")
+
+
+def test_open_stages_do_not_make_results_stale(tmp_path, frames):
+    """USD shares open layers within a process; checking and flattening see the disk all the same."""
+    writer = write_run(tmp_path / "run", frames[:2])
+    stages = [Usd.Stage.Open(str(tmp_path / "run" / "film.usda"))]
+    writer.write(2, {"Film": frames[2]})
+    assert stages[0].GetEndTimeCode() == 1.0
+    flat = Sdf.Layer.OpenAsAnonymous(str(flatten(tmp_path / "run", tmp_path / "flat.usdc")))
+    assert flat.ListTimeSamplesForPath("/World/Film.points") == [0.0, 1.0, 2.0]
+    writer.write(3, {"Film": frames[3]})
+    assert check_cache(tmp_path / "run") == []
 
 
 @pytest.mark.parametrize("failing", ["frame", "root"])
