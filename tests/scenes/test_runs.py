@@ -1,0 +1,97 @@
+"""Every scene, small, from the command line to a checked cache, with the real solver."""
+
+import json
+import math
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from melp_warp import cli
+from melp_warp.check import check_cache
+from melp_warp.usd import ATTRIBUTES, list_frames, read_frame
+
+SMALL = {
+    "drainage": ["e_count=300", "l_per_e=4"],
+    "equilibrium": ["e_count=300", "l_per_e=4"],
+    "giant_bubble": ["e_count=400", "l_per_e=4"],
+    "oscillating_bubble": ["e_count=400"],
+    "taylor_vortices": ["e_count=400", "l_per_e=4"],
+}
+NUMBERS = "time dt substeps e_count l_count area mass surfactant kinetic_energy surface_energy max_speed".split()
+FIELDS = [attribute.field for attribute in ATTRIBUTES if attribute.field]
+
+
+def run(name, out, *options, frames=3):
+    return cli.main(
+        ["run", name, "--frames", str(frames), "--quiet", "--out", str(out), "--set", *SMALL[name], *map(str, options)]
+    )
+
+
+def lines(folder):
+    return [json.loads(line) for line in (folder / "run.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_every_scene_runs_to_a_sound_cache(name, tmp_path):
+    out = tmp_path / name
+    assert run(name, out) == 0
+    assert check_cache(out) == []
+    assert list_frames(out) == [0, 1, 2, 3]
+    log = lines(out)
+    for key in NUMBERS:
+        assert all(isinstance(line[key], (int, float)) and math.isfinite(line[key]) for line in log), key
+    assert len(log[-1]["momentum"]) == 3
+    assert log[-1]["wall_ms"]
+    assert log[-1]["mass"] == pytest.approx(log[0]["mass"], rel=1e-5)
+    assert log[-1]["max_speed"] > 0.0
+    first, last = read_frame(out, 0), read_frame(out, 3)
+    np.testing.assert_array_equal(first.ids, last.ids)
+    assert np.abs(last.points - first.points).max() > 0.0 or np.abs(last.thickness - first.thickness).max() > 0.0
+
+
+def test_same_seed_same_result_bit_for_bit(tmp_path):
+    for folder, seed in (("one", 4), ("two", 4), ("other", 5)):
+        assert run("giant_bubble", tmp_path / folder, "--seed", seed, "--export", "both") == 0
+    one, two, other = ([read_frame(tmp_path / f, 3, p) for p in ("Film", "FilmE")] for f in ("one", "two", "other"))
+    for prim in (0, 1):
+        for field in FIELDS:
+            assert getattr(one[prim], field).tobytes() == getattr(two[prim], field).tobytes(), field
+    assert one[0].points.tobytes() != other[0].points.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["giant_bubble", "--device", "tpu"], ["device", "cpu", "'tpu'"]),
+        (["giant_bubble", "--set", "e_count=5"], ["e_count", "5"]),
+        (["drainage", "--set", "e_count=3"], ["e_count", "3"]),
+    ],
+)
+def test_what_the_solver_refuses(arguments, words, tmp_path, capsys):
+    assert cli.main(["run", *arguments, "--out", str(tmp_path / "cache")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("melp-warp: error: ")
+    assert error.count("\n") == 1
+    for word in words:
+        assert word in error
+    assert not (tmp_path / "cache").exists()
+
+
+def test_ctrl_c_as_a_user_presses_it(tmp_path):
+    out = tmp_path / "cache"
+    command = [sys.executable, "-m", "melp_warp", "run", "giant_bubble", "--frames", "100000", "--out", str(out)]
+    process = subprocess.Popen([*command, "--set", *SMALL["giant_bubble"]], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while len(list_frames(out)) < 3 and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 130
+    frames = list_frames(out)
+    assert f"holds {len(frames)} frames, 0 to {frames[-1]}" in error
+    assert [line["frame"] for line in lines(out)] == frames
+    assert check_cache(out) == []
