@@ -72,9 +72,19 @@ class Shape(ABC):
         """Boundary particles at `spacing` in a strip of `width` beyond the rim; None for a closed film."""
         return None
 
-    def inside(self, points: np.ndarray) -> np.ndarray:
-        """[n] signed distance to the rim (m, positive inside); infinite for a closed film."""
-        return np.full(len(points), np.inf)
+    def extent(self) -> np.ndarray:
+        """Size of the film along its own axes, m: the smallest must have room for the kernel support."""
+        points = self.sample(2000).points
+        return points.max(axis=0) - points.min(axis=0)
+
+    @property
+    def even(self) -> bool:
+        """Whether `sample` spreads points evenly already."""
+        return True
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Points [n, 3] near the surface put onto it, m."""
+        return points
 
     def spacing(self, count: int) -> float:
         """Mean distance dx = sqrt(area/count) between `count` points, m."""
@@ -146,6 +156,15 @@ class StarShaped(Shape):
         if self.displacement is None:
             return 4.0 * np.pi * self.radius**2
         return float(self.sample(20000).area.sum())
+
+    @property
+    def even(self) -> bool:
+        return self.displacement is None
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        directions = points - np.asarray(self.center)
+        directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        return directions * self.radii(directions)[:, None] + np.asarray(self.center)
 
     def sample(self, count: int, offset: float = 0.0) -> Samples:
         directions = fibonacci_sphere(count, offset)
@@ -228,8 +247,8 @@ class Disc(Shape):
         normals = np.tile([0.0, 1.0, 0.0], (len(points), 1))
         return Rim(points, normals, outward * self.radius, outward, mirror)
 
-    def inside(self, points: np.ndarray) -> np.ndarray:
-        return self.radius - np.hypot(points[:, 0], points[:, 2])
+    def extent(self) -> np.ndarray:
+        return np.full(2, 2.0 * self.radius)
 
 
 @dataclass(frozen=True)
@@ -290,6 +309,5 @@ class Rectangle(Shape):
         normals = np.tile(self.axes[2], (len(p), 1))
         return Rim(p @ plane, normals, anchors @ plane, out @ plane, (2.0 * anchors - p) @ plane)
 
-    def inside(self, points: np.ndarray) -> np.ndarray:
-        p = points @ self.axes[:2].T
-        return np.min(0.5 * np.array([self.width, self.height]) - np.abs(p), axis=1)
+    def extent(self) -> np.ndarray:
+        return np.array([self.width, self.height])

@@ -1,0 +1,142 @@
+"""Stages 5 and 6: E and L advance (Algorithms 6 and 7), with the projection of L onto the surface."""
+
+import warp as wp
+
+from melp_warp.kernels.mls import height_above, vec5
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.sph import kernel_w, tangential
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def smooth_drift_e(
+    x: wp.array(dtype=wp.vec3),
+    drift: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    n_e: int,
+    strength: float,
+    # outputs
+    smoothed: wp.array(dtype=wp.vec3),
+):
+    """XSPH smoothing of the tangential E velocity (section 4.8). [n_e], m/s."""
+    i = wp.tid()
+    p = x[i]
+    total = kernel_w(0.0, r)
+    mean = total * drift[i]
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        w = kernel_w(wp.length(x[j] - p), r)
+        total += w
+        if j < n_e:
+            mean += w * drift[j]
+    smoothed[i] = (1.0 - strength) * drift[i] + strength * mean / total
+
+
+@wp.kernel
+def translation_chunks(
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    u_mid: wp.array(dtype=float),
+    n: int,
+    # outputs
+    moment: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+):
+    """Parts of sum a n n and sum a u_n n."""
+    c = wp.tid()
+    size = (n + net.shape[0] - 1) // net.shape[0]
+    s0 = wp.mat33()
+    s1 = wp.vec3()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        ni = normal[i]
+        s0 += area[i] * wp.outer(ni, ni)
+        s1 += area[i] * u_mid[i] * ni
+    moment[c] = s0
+    net[c] = s1
+
+
+@wp.kernel
+def solve_translation(moment: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec3), frame: wp.array(dtype=wp.vec3)):
+    """Velocity U of the film as a whole, (sum a n n) U = sum a u_n n. frame[0], m/s."""
+    s0 = wp.mat33()
+    s1 = wp.vec3()
+    for c in range(net.shape[0]):
+        s0 += moment[c]
+        s1 += net[c]
+    frame[0] = wp.inverse(s0) * s1
+
+
+@wp.kernel
+def advance_e(
+    normal: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+    drift: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    dt: float,
+    # outputs
+    x: wp.array(dtype=wp.vec3),
+):
+    """Move E with the normal velocity (19), the tangential drift, and along with the film as a whole.
+
+    A translating bubble would otherwise leave its E behind in the tangential direction and pile them up at the rear.
+
+    Args:
+        normal: [n] unit normals.
+        u_mid: [n_e] normal speed, m/s.
+        drift: [n_e] tangential E velocity, m/s.
+        frame: velocity of the film as a whole, m/s.
+        dt: s.
+        x: [n] m.
+    """
+    i = wp.tid()
+    n = normal[i]
+    x[i] = x[i] + dt * (u_mid[i] * n + tangential(drift[i] + frame[0], n))
+
+
+@wp.kernel
+def advance_l(v: wp.array(dtype=wp.vec3), dt: float, x: wp.array(dtype=wp.vec3)):
+    """Move L with the material velocity. [n_l], m."""
+    i = wp.tid()
+    x[i] = x[i] + dt * v[i]
+
+
+@wp.kernel
+def project_l(
+    x_e: wp.array(dtype=wp.vec3),
+    base: wp.array(dtype=wp.vec3),
+    fit: wp.array(dtype=vec5),
+    rows: Neighbors,
+    r: float,
+    n_e: int,
+    # outputs
+    x_l: wp.array(dtype=wp.vec3),
+):
+    """Put each L on the surface: the weighted mean of its heights above the quadratic fits of nearby E.
+
+    One fit an E serves all its L, in place of one fit an L (Proj of section 4.8).
+
+    Args:
+        x_e: [n] m.
+        base: [n_e] normals of the fitting planes.
+        fit: [n_e] fits, lengths in r/3.
+        rows: L:E neighbours.
+        r: support radius, m.
+        n_e: number of E.
+        x_l: [n_l] m.
+    """
+    i = wp.tid()
+    p = x_l[i]
+    total = float(0.0)
+    shift = wp.vec3()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        if j < n_e:
+            d = p - x_e[j]
+            w = kernel_w(wp.length(d), r)
+            if w > 0.0:
+                total += w
+                shift += w * height_above(fit[j], base[j], r / 3.0, d) * base[j]
+    if total > 0.0:
+        x_l[i] = p - shift / total

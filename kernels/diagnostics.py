@@ -1,0 +1,128 @@
+"""Sums and extremes over the particles, in float64 parts, for the run's log and its guards."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+vec12d = wp.types.vector(length=12, dtype=wp.float64)
+
+
+@wp.kernel
+def summarize_chunks(
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    eta: wp.array(dtype=float),
+    density: float,
+    n: int,
+    # outputs
+    part: wp.array(dtype=vec12d),
+):
+    """Parts of the sums and extremes of a particle set.
+
+    Slots: 0 mass, 1 surfactant, 2-4 momentum, 5 kinetic energy, 6 max speed^2, 7 min eta, 8 max eta, 9 sum eta a,
+    10 sum a, 11 sum eta^2 a, with the area a = m/(rho eta).
+
+    Args:
+        mass: [n] kg.
+        surfactant: [n] mol.
+        u: [n] m/s.
+        eta: [n] m.
+        density: rho, kg/m^3.
+        n: number of particles.
+        part: parts.
+    """
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    s = vec12d()
+    s[7] = wp.float64(1.0e30)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        m = wp.float64(mass[i])
+        v = u[i]
+        vv = wp.float64(wp.length_sq(v))
+        h = wp.float64(eta[i])
+        a = m / (wp.float64(density) * h)
+        s[0] += m
+        s[1] += wp.float64(surfactant[i])
+        s[2] += m * wp.float64(v[0])
+        s[3] += m * wp.float64(v[1])
+        s[4] += m * wp.float64(v[2])
+        s[5] += wp.float64(0.5) * m * vv
+        s[6] = wp.max(s[6], vv)
+        s[7] = wp.min(s[7], h)
+        s[8] = wp.max(s[8], h)
+        s[9] += h * a
+        s[10] += a
+        s[11] += h * h * a
+    part[c] = s
+
+
+@wp.kernel
+def energy_chunks(area: wp.array(dtype=float), gamma: wp.array(dtype=float), tension: float, slope: float, n: int,
+                  part: wp.array(dtype=wp.float64)):
+    """Parts of the surface energy 2 sigma a. J."""
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    total = wp.float64(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += wp.float64(2.0 * (tension - slope * gamma[i]) * area[i])
+    part[c] = total
+
+
+@wp.kernel
+def find_broken(
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    stage: int,
+    # outputs
+    broken: wp.array(dtype=wp.int32),
+):
+    """Record the first stage and the lowest particle whose position or velocity is not finite.
+
+    broken = [stage or 0, particle]; a stage recorded before stays.
+    """
+    i = wp.tid()
+    p = x[i]
+    v = u[i]
+    s = p[0] + p[1] + p[2] + v[0] + v[1] + v[2]
+    if not wp.isfinite(s):
+        if broken[0] == 0 or broken[0] == stage:
+            wp.atomic_min(broken, 1, i)
+            broken[0] = stage
+
+
+@wp.kernel
+def travel_chunks(
+    v: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    dt: float,
+    n: int,
+    # outputs
+    part: wp.array(dtype=float),
+):
+    """Parts of the largest distance moved in a step relative to the film as a whole, m."""
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    far = float(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        far = wp.max(far, wp.length_sq(v[i] - frame[0]))
+    part[c] = dt * wp.sqrt(far)
+
+
+@wp.kernel
+def moved_chunks(
+    x: wp.array(dtype=wp.vec3),
+    x_old: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    dt: float,
+    n: int,
+    # outputs
+    part: wp.array(dtype=float),
+):
+    """As `travel_chunks`, from positions before and after the step."""
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    far = float(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        far = wp.max(far, wp.length_sq(x[i] - x_old[i] - dt * frame[0]))
+    part[c] = wp.sqrt(far)

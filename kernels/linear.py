@@ -1,0 +1,413 @@
+"""Matrix-free solvers for A x = b with (A x)_i = diag_i x_i + scale sum_j c_ij (x_i - x_j), c symmetric.
+
+All scalars stay on the device, so that a whole solve is one graph. Neighbours beyond the unknowns hold x = 0
+(Dirichlet) or have c = 0 (Neumann).
+"""
+
+from typing import Any
+
+import warp as wp
+
+from melp_warp.kernels.neighbors import Neighbors
+
+wp.set_module_options({"enable_backward": False})
+
+POLES = 8
+vec8 = wp.types.vector(length=8, dtype=wp.float32)
+
+# Slots of the scalar arrays.
+RZ = wp.constant(0)
+LIMIT = wp.constant(1)
+ALPHA = wp.constant(2)
+BETA = wp.constant(3)
+COUNT = wp.constant(4)
+START = wp.constant(5)
+ALPHA_OLD = wp.constant(6)
+
+
+@wp.func
+def inner(a: float, b: float) -> float:
+    """Product of scalars, so that one kernel serves scalars and vectors."""
+    return a * b
+
+
+@wp.func
+def inner(a: wp.vec3, b: wp.vec3) -> float:  # noqa: F811
+    """Dot product."""
+    return wp.dot(a, b)
+
+
+@wp.func
+def apply_row(
+    i: int,
+    x: wp.array(dtype=Any),
+    diag: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    scale: float,
+    rows: Neighbors,
+):
+    """(A x)_i."""
+    xi = x[i]
+    total = xi - xi
+    for k in range(rows.start[i], rows.start[i + 1]):
+        total += pair[k] * (xi - x[rows.index[k]])
+    return diag[i] * xi + scale * total
+
+
+@wp.kernel
+def invert_diagonal(
+    diag: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    scale: wp.array(dtype=float),
+    rows: Neighbors,
+    # outputs
+    inverse: wp.array(dtype=float),
+):
+    """1/A_ii, the Jacobi preconditioner. [n]."""
+    i = wp.tid()
+    total = float(0.0)
+    for k in range(rows.start[i], rows.start[i + 1]):
+        total += pair[k]
+    a = diag[i] + scale[0] * total
+    inverse[i] = wp.where(a > 0.0, 1.0 / a, 0.0)
+
+
+@wp.kernel
+def start_residual(
+    x: wp.array(dtype=Any),
+    b: wp.array(dtype=Any),
+    diag: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    scale: wp.array(dtype=float),
+    rows: Neighbors,
+    inverse: wp.array(dtype=float),
+    # outputs
+    r: wp.array(dtype=Any),
+    z: wp.array(dtype=Any),
+    p: wp.array(dtype=Any),
+):
+    """r = b - A x, z = r/A_ii, p = z."""
+    i = wp.tid()
+    ri = b[i] - apply_row(i, x, diag, pair, scale[0], rows)
+    r[i] = ri
+    zi = inverse[i] * ri
+    z[i] = zi
+    p[i] = zi
+
+
+@wp.kernel
+def apply_operator(
+    x: wp.array(dtype=Any),
+    diag: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    scale: wp.array(dtype=float),
+    rows: Neighbors,
+    # outputs
+    y: wp.array(dtype=Any),
+):
+    """y = A x. [n]."""
+    i = wp.tid()
+    y[i] = apply_row(i, x, diag, pair, scale[0], rows)
+
+
+@wp.kernel
+def dot_chunks(a: wp.array(dtype=Any), b: wp.array(dtype=Any), n: int, partial: wp.array(dtype=float)):
+    """Dot product of the first n entries in as many parts as there are threads, each summed in order."""
+    c = wp.tid()
+    size = (n + partial.shape[0] - 1) // partial.shape[0]
+    total = float(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += inner(a[i], b[i])
+    partial[c] = total
+
+
+@wp.kernel
+def weighted_chunks(
+    a: wp.array(dtype=Any), b: wp.array(dtype=Any), w: wp.array(dtype=float), n: int, partial: wp.array(dtype=float)
+):
+    """As `dot_chunks`, with a weight an entry."""
+    c = wp.tid()
+    size = (n + partial.shape[0] - 1) // partial.shape[0]
+    total = float(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += w[i] * inner(a[i], b[i])
+    partial[c] = total
+
+
+@wp.func
+def total_of(partial: wp.array(dtype=float)) -> float:
+    """Sum of the parts."""
+    total = float(0.0)
+    for c in range(partial.shape[0]):
+        total += partial[c]
+    return total
+
+
+@wp.kernel
+def start_scalars(
+    rz: wp.array(dtype=float),
+    bz: wp.array(dtype=float),
+    control: wp.array(dtype=float),
+    # outputs
+    scalar: wp.array(dtype=float),
+    go: wp.array(dtype=int),
+):
+    """Set the stopping limit tol^2 (b, b/A_ii) and whether to iterate at all. control = (tolerance, iterations)."""
+    value = total_of(rz)
+    reference = total_of(bz)
+    scalar[RZ] = value
+    scalar[START] = reference
+    scalar[LIMIT] = control[0] * control[0] * reference
+    scalar[COUNT] = 0.0
+    scalar[ALPHA] = 1.0
+    scalar[BETA] = 0.0
+    go[0] = wp.where(value > scalar[LIMIT] and control[1] >= 1.0, 1, 0)
+
+
+@wp.kernel
+def set_alpha(pq: wp.array(dtype=float), scalar: wp.array(dtype=float)):
+    """alpha = (r, z)/(p, A p)."""
+    value = total_of(pq)
+    scalar[ALPHA_OLD] = scalar[ALPHA]
+    scalar[ALPHA] = wp.where(value > 0.0, scalar[RZ] / value, 0.0)
+
+
+@wp.kernel
+def set_beta(
+    rz: wp.array(dtype=float),
+    control: wp.array(dtype=float),
+    slack: float,
+    # outputs
+    scalar: wp.array(dtype=float),
+    go: wp.array(dtype=int),
+):
+    """beta = (r, z)_new/(r, z)_old and the decision to go on at slack times the limit. control = (tolerance, iterations)."""
+    value = total_of(rz)
+    scalar[BETA] = wp.where(scalar[RZ] > 0.0, value / scalar[RZ], 0.0)
+    scalar[RZ] = value
+    scalar[COUNT] = scalar[COUNT] + 1.0
+    if not (value > slack * scalar[LIMIT]) or scalar[COUNT] >= control[1] or scalar[ALPHA] == 0.0:
+        go[0] = 0
+
+
+@wp.kernel
+def advance_solution(
+    scalar: wp.array(dtype=float),
+    p: wp.array(dtype=Any),
+    q: wp.array(dtype=Any),
+    inverse: wp.array(dtype=float),
+    # outputs
+    x: wp.array(dtype=Any),
+    r: wp.array(dtype=Any),
+    z: wp.array(dtype=Any),
+):
+    """x += alpha p, r -= alpha A p, z = r/A_ii."""
+    i = wp.tid()
+    alpha = scalar[ALPHA]
+    x[i] = x[i] + alpha * p[i]
+    ri = r[i] - alpha * q[i]
+    r[i] = ri
+    z[i] = inverse[i] * ri
+
+
+@wp.kernel
+def advance_direction(scalar: wp.array(dtype=float), z: wp.array(dtype=Any), p: wp.array(dtype=Any)):
+    """p = z + beta p."""
+    i = wp.tid()
+    p[i] = z[i] + scalar[BETA] * p[i]
+
+
+@wp.kernel
+def sweep_jacobi(
+    x: wp.array(dtype=Any),
+    b: wp.array(dtype=Any),
+    diag: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    scale: wp.array(dtype=float),
+    rows: Neighbors,
+    inverse: wp.array(dtype=float),
+    omega: float,
+    # outputs
+    r: wp.array(dtype=Any),
+    z: wp.array(dtype=Any),
+    next_x: wp.array(dtype=Any),
+):
+    """One relaxed Jacobi sweep (Appendix B), with the residual it started from."""
+    i = wp.tid()
+    ri = b[i] - apply_row(i, x, diag, pair, scale[0], rows)
+    r[i] = ri
+    z[i] = inverse[i] * ri
+    next_x[i] = x[i] + omega * inverse[i] * ri
+
+
+@wp.func
+def c_mul(a: wp.vec2, b: wp.vec2) -> wp.vec2:
+    """Product of complex numbers."""
+    return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+
+@wp.func
+def c_div(a: wp.vec2, b: wp.vec2) -> wp.vec2:
+    """Quotient of complex numbers; 0 where the divisor has died away."""
+    size = wp.length_sq(b)
+    if size < 1.0e-30:
+        return wp.vec2()
+    return c_mul(a, wp.vec2(b[0], -b[1])) / size
+
+
+@wp.struct
+class Poles:
+    """f(lambda) = Re sum_k g_k/(lambda + p_k), with complex numbers as wp.vec2. p_0 is real and above 0.
+
+    `weight` bounds the share of each pole in the error of the sum.
+    """
+
+    p: wp.array(dtype=wp.vec2)
+    g: wp.array(dtype=wp.vec2)
+    weight: wp.array(dtype=float)
+
+
+@wp.kernel
+def start_shifted(
+    b: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    # outputs
+    r: wp.array(dtype=float),
+    p: wp.array(dtype=float),
+    real: wp.array(dtype=vec8),
+    imag: wp.array(dtype=vec8),
+    x: wp.array(dtype=float),
+):
+    """Start multi-shift conjugate gradients from x = 0 with b scaled by sqrt(area)."""
+    i = wp.tid()
+    value = b[i] * wp.sqrt(area[i])
+    r[i] = value
+    p[i] = value
+    x[i] = 0.0
+    d = vec8()
+    for k in range(8):
+        d[k] = value
+    real[i] = d
+    imag[i] = vec8()
+
+
+@wp.kernel
+def start_zeta(zeta: wp.array2d(dtype=wp.vec2)):
+    """zeta[0] = zeta[1] = 1: collinearity factors now and before. zeta[2] holds the steps."""
+    k = wp.tid()
+    zeta[0, k] = wp.vec2(1.0, 0.0)
+    zeta[1, k] = wp.vec2(1.0, 0.0)
+
+
+@wp.kernel
+def apply_shifted(
+    p: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    poles: Poles,
+    rows: Neighbors,
+    # outputs
+    q: wp.array(dtype=float),
+):
+    """q = (D + p_0) p with D = -area^-1/2 (a_i a_j K_ij Laplacian) area^-1/2, the negative surface Laplacian."""
+    i = wp.tid()
+    si = 1.0 / wp.sqrt(area[i])
+    pi = p[i] * si
+    total = float(0.0)
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        pj = float(0.0)
+        if j < area.shape[0]:
+            pj = p[j] / wp.sqrt(area[j])
+        total += pair[k] * (pi - pj)
+    q[i] = poles.p[0][0] * p[i] + si * total
+
+
+@wp.kernel
+def set_zeta(scalar: wp.array(dtype=float), poles: Poles, zeta: wp.array2d(dtype=wp.vec2)):
+    """Next collinearity factor and step of each shifted system."""
+    k = wp.tid()
+    alpha = scalar[ALPHA]
+    alpha_old = scalar[ALPHA_OLD]
+    now = zeta[0, k]
+    old = zeta[1, k]
+    shift = poles.p[k] - poles.p[0]
+    below = alpha * scalar[BETA] * (old - now) + alpha_old * c_mul(old, wp.vec2(1.0, 0.0) + alpha * shift)
+    following = alpha_old * c_div(c_mul(now, old), below)
+    zeta[2, k] = alpha * c_div(following, now)
+    zeta[1, k] = now
+    zeta[0, k] = following
+
+
+@wp.kernel
+def advance_shifted(
+    scalar: wp.array(dtype=float),
+    zeta: wp.array2d(dtype=wp.vec2),
+    poles: Poles,
+    q: wp.array(dtype=float),
+    real: wp.array(dtype=vec8),
+    imag: wp.array(dtype=vec8),
+    # outputs
+    x: wp.array(dtype=float),
+    r: wp.array(dtype=float),
+):
+    """x += Re sum_k g_k alpha_k p_k, r -= alpha q."""
+    i = wp.tid()
+    dr = real[i]
+    di = imag[i]
+    total = float(0.0)
+    for k in range(8):
+        step = c_mul(poles.g[k], zeta[2, k])
+        total += step[0] * dr[k] - step[1] * di[k]
+    x[i] = x[i] + total
+    r[i] = r[i] - scalar[ALPHA] * q[i]
+
+
+@wp.kernel
+def direct_shifted(
+    scalar: wp.array(dtype=float),
+    zeta: wp.array2d(dtype=wp.vec2),
+    r: wp.array(dtype=float),
+    # outputs
+    p: wp.array(dtype=float),
+    real: wp.array(dtype=vec8),
+    imag: wp.array(dtype=vec8),
+):
+    """p_k = zeta_k r + beta (zeta_k/zeta_k^old)^2 p_k for every shift."""
+    i = wp.tid()
+    beta = scalar[BETA]
+    dr = real[i]
+    di = imag[i]
+    for k in range(8):
+        now = zeta[0, k]
+        ratio = c_div(now, zeta[1, k])
+        d = r[i] * now + beta * c_mul(c_mul(ratio, ratio), wp.vec2(dr[k], di[k]))
+        dr[k] = d[0]
+        di[k] = d[1]
+    real[i] = dr
+    imag[i] = di
+    p[i] = r[i] + beta * p[i]
+
+
+@wp.kernel
+def stop_shifted(
+    zeta: wp.array2d(dtype=wp.vec2),
+    poles: Poles,
+    # outputs
+    scalar: wp.array(dtype=float),
+    go: wp.array(dtype=int),
+):
+    """Stop when the poles' residuals no longer matter to the sum."""
+    bound = float(0.0)
+    for k in range(8):
+        bound += poles.weight[k] * wp.length(zeta[0, k])
+    error = scalar[RZ] * bound * bound
+    if error <= scalar[LIMIT]:
+        go[0] = 0
+
+
+@wp.kernel
+def unscale(x: wp.array(dtype=float), area: wp.array(dtype=float), y: wp.array(dtype=float)):
+    """y = x/sqrt(area). [n]."""
+    i = wp.tid()
+    y[i] = x[i] / wp.sqrt(area[i])

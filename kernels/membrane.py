@@ -1,0 +1,338 @@
+"""Stage 3, normal dynamics (12): forces at the predicted surface, gas, and the implicit correction."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# Slots of the gas array (float64).
+VOLUME = wp.constant(0)
+GAUGE = wp.constant(1)
+AMOUNT = wp.constant(2)
+INCREMENT = wp.constant(3)
+AREA = wp.constant(4)
+
+
+@wp.kernel
+def predict_position_e(
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    n_e: int,
+    step: float,
+    # outputs
+    predicted: wp.array(dtype=wp.vec3),
+):
+    """x + theta dt u_n n for E; boundary particles stay. [n], m."""
+    i = wp.tid()
+    p = x[i]
+    if i < n_e:
+        n = normal[i]
+        p += step * wp.dot(u[i], n) * n
+    predicted[i] = p
+
+
+@wp.kernel
+def film_force_e(
+    kappa: wp.array(dtype=float),
+    gamma: wp.array(dtype=float),
+    normal: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    gas: wp.array(dtype=wp.float64),
+    tension: float,
+    slope: float,
+    g: wp.vec3,
+    # outputs
+    force: wp.array(dtype=float),
+    external: wp.array(dtype=float),
+):
+    """Normal force per area: 2 sigma kappa + p_in - p_out, and apart from it the weight m g.n.
+
+    Args:
+        kappa: [n_e] sum of principal curvatures, 1/m.
+        gamma: [n_e] relative surfactant concentration.
+        normal: [n] unit normals.
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        gas: gas slots; gauge pressure in Pa.
+        tension: sigma_0, N/m.
+        slope: R T Gamma_0, N/m.
+        g: m/s^2.
+        force: [n_e] internal, Pa.
+        external: [n_e] Pa.
+    """
+    i = wp.tid()
+    sigma = tension - slope * gamma[i]
+    force[i] = 2.0 * sigma * kappa[i] + float(gas[GAUGE])
+    external[i] = mass[i] / area[i] * wp.dot(g, normal[i])
+
+
+@wp.kernel
+def net_force_chunks(
+    force: wp.array(dtype=float),
+    external: wp.array(dtype=float),
+    normal: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    added: float,
+    n: int,
+    # outputs
+    moment: wp.array(dtype=wp.mat33),
+    inertia: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+    net_external: wp.array(dtype=wp.vec3),
+):
+    """Sums over the film of a n n, a m n n, a f n and a f_ext n, in parts.
+
+    Args:
+        force: [n_e] Pa.
+        external: [n_e] Pa.
+        normal: [n] unit normals.
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        added: mass per area that the air adds to rigid translation, kg/m^2.
+        n: number of E.
+        moment: parts of sum a n n.
+        inertia: parts of sum (a m + a added) n n.
+        net: parts of sum a f n.
+        net_external: parts of sum a f_ext n.
+    """
+    c = wp.tid()
+    size = (n + net.shape[0] - 1) // net.shape[0]
+    s0 = wp.mat33()
+    s1 = wp.mat33()
+    s2 = wp.vec3()
+    s3 = wp.vec3()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        ni = normal[i]
+        nn = area[i] * wp.outer(ni, ni)
+        s0 += nn
+        s1 += (mass[i] / area[i] + added) * nn
+        s2 += area[i] * force[i] * ni
+        s3 += area[i] * external[i] * ni
+    moment[c] = s0
+    inertia[c] = s1
+    net[c] = s2
+    net_external[c] = s3
+
+
+@wp.kernel
+def rigid_motion(
+    moment: wp.array(dtype=wp.mat33),
+    inertia: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+    net_external: wp.array(dtype=wp.vec3),
+    # outputs
+    rigid: wp.array(dtype=wp.vec3),
+):
+    """rigid[0] = (sum a n n)^-1 sum a f n, rigid[1] = acceleration (sum a m n n)^-1 sum a f_ext n."""
+    s0 = wp.mat33()
+    s1 = wp.mat33()
+    s2 = wp.vec3()
+    s3 = wp.vec3()
+    for c in range(net.shape[0]):
+        s0 += moment[c]
+        s1 += inertia[c]
+        s2 += net[c]
+        s3 += net_external[c]
+    rigid[0] = wp.inverse(s0) * s2
+    rigid[1] = wp.inverse(s1) * s3
+
+
+@wp.kernel
+def load_membrane_e(
+    force: wp.array(dtype=float),
+    external: wp.array(dtype=float),
+    normal: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    rigid: wp.array(dtype=wp.vec3),
+    added: float,
+    dt: float,
+    # outputs
+    b: wp.array(dtype=float),
+    unit: wp.array(dtype=float),
+    diag: wp.array(dtype=float),
+):
+    """Load dt a f on each E, freed of what moves the film as a whole.
+
+    Forces inside a closed film add up to nothing; what their discrete sum leaves is taken out, and what the
+    external forces do to the film as a whole is `rigid[1]`, an acceleration that costs no surface.
+
+    Args:
+        force: [n_e] Pa.
+        external: [n_e] Pa.
+        normal: [n] unit normals.
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        rigid: from `rigid_motion`; zeros for an open film.
+        added: as in `net_force_chunks`.
+        dt: s.
+        b: [n_e] load, kg m/s.
+        unit: [n_e] load of a unit pressure.
+        diag: [n_e] mass.
+    """
+    i = wp.tid()
+    n = normal[i]
+    inside = force[i] - wp.dot(rigid[0], n)
+    outside = external[i] - (mass[i] / area[i] + added) * wp.dot(rigid[1], n)
+    b[i] = dt * area[i] * (inside + outside)
+    unit[i] = dt * area[i]
+    diag[i] = mass[i]
+
+
+@wp.kernel
+def explicit_response_e(b: wp.array(dtype=float), diag: wp.array(dtype=float), x: wp.array(dtype=float)):
+    """Velocity change of the paper's explicit scheme, load over mass. [n_e], m/s."""
+    i = wp.tid()
+    x[i] = b[i] / diag[i]
+
+
+@wp.kernel
+def lower_residual_e(
+    b: wp.array(dtype=float),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    mean: wp.array(dtype=float),
+    x: wp.array(dtype=float),
+    # outputs
+    rhs: wp.array(dtype=float),
+):
+    """(b - (m - mean) a x)/a: what the operator with even mass must be applied to. [n_e]."""
+    i = wp.tid()
+    rhs[i] = (b[i] - (mass[i] - mean[0] * area[i]) * x[i]) / area[i]
+
+
+@wp.kernel
+def swept_chunks(
+    u: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    kappa: wp.array(dtype=float),
+    change: wp.array(dtype=float),
+    response: wp.array(dtype=float),
+    rigid: wp.array(dtype=wp.vec3),
+    theta: float,
+    dt: float,
+    n: int,
+    # outputs
+    swept: wp.array(dtype=wp.vec3d),
+):
+    """Volume swept in the step as a polynomial in the pressure increment q, in parts and in float64.
+
+    A normal displacement d sweeps a (d - kappa d^2/2).
+    """
+    c = wp.tid()
+    size = (n + swept.shape[0] - 1) // swept.shape[0]
+    total = wp.vec3d()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        ni = normal[i]
+        d = dt * (wp.dot(u[i], ni) + theta * (change[i] + dt * wp.dot(rigid[1], ni)))
+        e = dt * response[i]
+        a = area[i]
+        half = 0.5 * kappa[i]
+        total += wp.vec3d(
+            wp.float64(a * (d - half * d * d)), wp.float64(a * (1.0 - 2.0 * half * d) * e), wp.float64(-a * half * e * e)
+        )
+    swept[c] = total
+
+
+@wp.kernel
+def close_gas(
+    swept: wp.array(dtype=wp.vec3d),
+    p_atm: wp.float64,
+    # outputs
+    gas: wp.array(dtype=wp.float64),
+):
+    """Pressure increment q with (p + q) V(q) = n_0 R T at the end of the step; the gauge pressure is carried.
+
+    The part linear in q gives a quadratic with exactly one root of positive pressure and volume; two Newton steps
+    add the curvature term.
+    """
+    total = wp.vec3d()
+    for c in range(swept.shape[0]):
+        total += swept[c]
+    p = p_atm + gas[GAUGE]
+    v = gas[VOLUME] + total[0]
+    s = total[1]
+    amount = gas[AMOUNT]
+    low = p * v - amount
+    mid = v + p * s
+    root = wp.sqrt(mid * mid - wp.float64(4.0) * s * low)
+    q = wp.float64(0.0)
+    if mid > wp.float64(0.0):
+        q = -wp.float64(2.0) * low / (mid + root)
+    else:
+        q = (root - mid) / (wp.float64(2.0) * s)
+    for _ in range(2):
+        volume = v + (s + total[2] * q) * q
+        slope = volume + (p + q) * (s + wp.float64(2.0) * total[2] * q)
+        if volume > wp.float64(0.0) and slope > wp.float64(0.0):
+            q -= ((p + q) * volume - amount) / slope
+    gas[INCREMENT] = q
+    gas[GAUGE] = gas[GAUGE] + q
+
+
+@wp.kernel
+def apply_membrane_e(
+    normal: wp.array(dtype=wp.vec3),
+    change: wp.array(dtype=float),
+    response: wp.array(dtype=float),
+    gas: wp.array(dtype=wp.float64),
+    rigid: wp.array(dtype=wp.vec3),
+    theta: float,
+    dt: float,
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+):
+    """Add the change of normal velocity and give the speed that moves E in this step.
+
+    Args:
+        normal: [n] unit normals.
+        change: [n_e] m/s.
+        response: [n_e] change per unit pressure, m/s/Pa.
+        gas: gas slots.
+        rigid: see `rigid_motion`.
+        theta: 1 backward Euler, 1/2 midpoint; the pressure's share always counts in full.
+        dt: s.
+        u: [n] m/s.
+        u_mid: [n_e] m/s.
+    """
+    i = wp.tid()
+    n = normal[i]
+    q = float(gas[INCREMENT])
+    delta = change[i] + dt * wp.dot(rigid[1], n)
+    push = q * response[i]
+    u_mid[i] = wp.dot(u[i], n) + theta * delta + push
+    u[i] = u[i] + (delta + push) * n
+
+
+@wp.kernel
+def volume_chunks(
+    x: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    n: int,
+    # outputs
+    part: wp.array(dtype=wp.vec2d),
+):
+    """Parts of the enclosed volume (11), sum a (x - O).n/3 about O = x_0, and of the area. m^3, m^2."""
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    total = wp.vec2d()
+    o = x[0]
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        a = area[i]
+        total += wp.vec2d(wp.float64(a * wp.dot(x[i] - o, normal[i])) / wp.float64(3.0), wp.float64(a))
+    part[c] = total
+
+
+@wp.kernel
+def store_volume(part: wp.array(dtype=wp.vec2d), gas: wp.array(dtype=wp.float64)):
+    """Put the measured volume and area into the gas slots."""
+    total = wp.vec2d()
+    for c in range(part.shape[0]):
+        total += part[c]
+    gas[VOLUME] = total[0]
+    gas[AREA] = total[1]

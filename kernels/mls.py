@@ -1,0 +1,128 @@
+"""Moving least squares: quadratic fits of the surface over a tangent plane."""
+
+from typing import Any
+
+import warp as wp
+
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.sph import kernel_w, tangent_basis
+
+wp.set_module_options({"enable_backward": False})
+
+vec5 = wp.types.vector(length=5, dtype=wp.float32)
+mat55 = wp.types.matrix(shape=(5, 5), dtype=wp.float32)
+
+
+@wp.func
+def quadratic_basis(u: float, v: float) -> vec5:
+    """(u, v, u^2, uv, v^2)."""
+    return vec5(u, v, u * u, u * v, v * v)
+
+
+@wp.func
+def cholesky(a: mat55) -> mat55:
+    """Lower Cholesky factor of a symmetric positive matrix, its diagonal slightly raised."""
+    low = mat55()
+    ridge = 1.0e-6 * (a[0, 0] + a[1, 1] + a[2, 2] + a[3, 3] + a[4, 4]) + 1.0e-30
+    for i in range(5):
+        for j in range(i + 1):
+            s = a[i, j]
+            if i == j:
+                s += ridge
+            for k in range(j):
+                s -= low[i, k] * low[j, k]
+            if i == j:
+                low[i, i] = wp.sqrt(wp.max(s, 1.0e-30))
+            else:
+                low[i, j] = s / low[j, j]
+    return low
+
+
+@wp.func
+def cholesky_solve(low: mat55, b: vec5) -> vec5:
+    """Solve L L^T y = b."""
+    y = vec5()
+    for i in range(5):
+        s = b[i]
+        for k in range(i):
+            s -= low[i, k] * y[k]
+        y[i] = s / low[i, i]
+    for m in range(5):
+        i = 4 - m
+        s = y[i]
+        for k in range(i + 1, 5):
+            s -= low[k, i] * y[k]
+        y[i] = s / low[i, i]
+    return y
+
+
+@wp.func
+def fit_height(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    n: wp.vec3,
+    rows: Neighbors,
+    r: float,
+    limit: int,
+):
+    """Fit z = c.(u, v, u^2, uv, v^2) through x_i over the plane with normal n.
+
+    There is no constant term: a particle displaced alone must enter its own curvature. Lengths are in h = r/3. Only neighbours below index `limit` take part.
+
+    Returns:
+        The Cholesky factor of the normal matrix and the coefficients c.
+    """
+    h = r / 3.0
+    e1, e2 = tangent_basis(n)
+    p = x[i]
+    a = mat55()
+    rhs = vec5()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        d = (x[j] - p) / h
+        w = kernel_w(wp.length(d), 3.0)
+        if w > 0.0 and j < limit:
+            b = quadratic_basis(wp.dot(d, e1), wp.dot(d, e2))
+            wz = w * wp.dot(d, n)
+            for c in range(5):
+                wb = w * b[c]
+                rhs[c] += wz * b[c]
+                for e in range(c + 1):
+                    a[c, e] += wb * b[e]
+    low = cholesky(a)
+    return low, cholesky_solve(low, rhs)
+
+
+@wp.func
+def slope_normal(c: vec5, n: wp.vec3) -> wp.vec3:
+    """Unit normal of the fitted surface at its origin."""
+    e1, e2 = tangent_basis(n)
+    return wp.normalize(n - c[0] * e1 - c[1] * e2)
+
+
+@wp.func
+def fitted_curvature(c: vec5, h: float) -> float:
+    """Sum of principal curvatures kappa of z = c.b at the origin, signed along the normal (sphere: -2/R). 1/m."""
+    zx = c[0]
+    zy = c[1]
+    g = 1.0 + zx * zx + zy * zy
+    top = (1.0 + zy * zy) * (2.0 * c[2]) - 2.0 * zx * zy * c[3] + (1.0 + zx * zx) * (2.0 * c[4])
+    return top / (g * wp.sqrt(g) * h)
+
+
+@wp.func
+def height_above(c: vec5, n: wp.vec3, h: float, d: wp.vec3) -> float:
+    """Height along n of the point at d from the fit's origin above the fitted surface, m."""
+    e1, e2 = tangent_basis(n)
+    b = quadratic_basis(wp.dot(d, e1) / h, wp.dot(d, e2) / h)
+    return wp.dot(d, n) - h * wp.dot(c, b)
+
+
+@wp.func
+def gradient_at(i: int, f: wp.array(dtype=Any), rows: Neighbors, gradient: wp.array(dtype=wp.vec3)) -> wp.vec3:
+    """Surface gradient sum_j (f_j - f_i) g_ij of a scalar field."""
+    total = wp.vec3()
+    fi = f[i]
+    for k in range(rows.start[i], rows.start[i + 1]):
+        total += (f[rows.index[k]] - fi) * gradient[k]
+    return total

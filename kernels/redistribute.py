@@ -1,0 +1,118 @@
+"""Stage 5, redistribution of E: pseudo-pressure (20) and shifts along the surface (Algorithm 5)."""
+
+import warp as wp
+
+from melp_warp.kernels.mls import gradient_at, vec5
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.sph import tangent_basis, tangential
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def spread_chunks(density: wp.array(dtype=float), n: int, part: wp.array(dtype=wp.vec4)):
+    """Parts of (min delta, max delta, sum 1/delta, sum 1/delta^2)."""
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    total = wp.vec4(1.0e30, 0.0, 0.0, 0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        inverse = 1.0 / density[i]
+        total = wp.vec4(
+            wp.min(total[0], density[i]), wp.max(total[1], density[i]), total[2] + inverse, total[3] + inverse * inverse
+        )
+    part[c] = total
+
+
+@wp.kernel
+def summarize_spread(part: wp.array(dtype=wp.vec4), threshold: float, spread: wp.array(dtype=float)):
+    """spread = [(delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold]."""
+    low = float(1.0e30)
+    high = float(0.0)
+    s1 = float(0.0)
+    s2 = float(0.0)
+    for c in range(part.shape[0]):
+        p = part[c]
+        low = wp.min(low, p[0])
+        high = wp.max(high, p[1])
+        s1 += p[2]
+        s2 += p[3]
+    mean = s1 / s2
+    spread[0] = (high - low) / mean
+    spread[1] = mean
+    spread[2] = wp.where(spread[0] > threshold, 1.0, 0.0)
+
+
+@wp.kernel
+def load_pressure_e(
+    density: wp.array(dtype=float),
+    spread: wp.array(dtype=float),
+    # outputs
+    b: wp.array(dtype=float),
+    start: wp.array(dtype=float),
+):
+    """Right-hand side of (20), -lap_s C = (delta - mean)/delta times the area; zero where E are even enough. [n_e]."""
+    i = wp.tid()
+    d = density[i]
+    b[i] = spread[2] * (d - spread[1]) / (d * d)
+    start[i] = 0.0
+
+
+@wp.kernel
+def shift_e(
+    pressure: wp.array(dtype=float),
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    drift: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    base: wp.array(dtype=wp.vec3),
+    fit: wp.array(dtype=vec5),
+    rows: Neighbors,
+    gradient: wp.array(dtype=wp.vec3),
+    r: float,
+    strength: float,
+    limit: float,
+    dt: float,
+    # outputs
+    x_new: wp.array(dtype=wp.vec3),
+    u_new: wp.array(dtype=wp.vec3),
+    drift_new: wp.array(dtype=wp.vec3),
+):
+    """Shift E by -strength grad_s C along the fitted surface; the velocity field stays where it is in space.
+
+    Args:
+        pressure: [n] C, m^2.
+        x: [n] m.
+        u: [n] material velocity, m/s.
+        drift: [n_e] tangential E velocity, m/s.
+        normal: [n] unit normals.
+        base: [n_e] normals of the fitting planes.
+        fit: [n_e] fits, lengths in r/3.
+        rows: E:E neighbours.
+        gradient: [pairs] gradient weights, 1/m.
+        r: support radius, m.
+        strength: beta, 0 to 1.
+        limit: largest shift, m.
+        dt: s.
+        x_new: [n_e] m.
+        u_new: [n_e] velocity at the place moved to, m/s.
+        drift_new: [n_e] drift with the shift's own velocity added (Algorithm 5, line 13), m/s.
+    """
+    i = wp.tid()
+    n = normal[i]
+    shift = -strength * tangential(gradient_at(i, pressure, rows, gradient), n)
+    size = wp.length(shift)
+    if size > limit:
+        shift = shift * (limit / size)
+    h = r / 3.0
+    e1, e2 = tangent_basis(base[i])
+    c = fit[i]
+    s1 = wp.dot(shift, e1) / h
+    s2 = wp.dot(shift, e2) / h
+    x_new[i] = x[i] + shift + h * (c[2] * s1 * s1 + c[3] * s1 * s2 + c[4] * s2 * s2) * n
+    moved = shift + dt * drift[i]
+    ui = u[i]
+    change = wp.vec3()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        change += wp.dot(gradient[k], moved) * (u[rows.index[k]] - ui)
+    u_new[i] = ui + change
+    drift_new[i] = drift[i] + shift / dt

@@ -1,0 +1,234 @@
+"""Stage 3, tangential dynamics: surfactant equation (14) in symmetric form, Marangoni velocity (15)."""
+
+import warp as wp
+
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.sph import tangential
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def log_mean(a: float, b: float) -> float:
+    """(a - b)/log(a/b): with it an exponential film under gravity is at rest exactly."""
+    mean = 0.5 * (a + b)
+    s = wp.abs(a - b) / (a + b)
+    if s < 0.05:
+        ss = s * s
+        return mean / (1.0 + ss * (1.0 / 3.0 + 0.2 * ss))
+    return 2.0 * mean * s / wp.log((1.0 + s) / (1.0 - s))
+
+
+@wp.kernel
+def film_fields_e(
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    density: float,
+    reference: float,
+    # outputs
+    eta: wp.array(dtype=float),
+    gamma: wp.array(dtype=float),
+):
+    """eta_E = V_E/a_E and gamma = Gamma_E/Gamma_0.
+
+    Args:
+        mass: [n_e] kg.
+        surfactant: [n_e] mol.
+        area: [n_e] m^2.
+        density: rho, kg/m^3.
+        reference: Gamma_0, mol/m^2; 0 for a film without surfactant.
+        eta: [n_e] m.
+        gamma: [n_e] relative concentration.
+    """
+    i = wp.tid()
+    eta[i] = wp.max(mass[i] / (density * area[i]), 1.0e-10)
+    g = float(1.0)
+    if reference > 0.0:
+        g = wp.max(surfactant[i] / (reference * area[i]), 1.0e-4)
+    gamma[i] = g
+
+
+@wp.kernel
+def dilation_e(
+    u: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    gradient: wp.array(dtype=wp.vec3),
+    # outputs
+    dilation: wp.array(dtype=float),
+):
+    """div_s u of the whole velocity, so that normal motion of a curved film counts. [n_e], 1/s."""
+    i = wp.tid()
+    ui = u[i]
+    total = float(0.0)
+    for k in range(rows.start[i], rows.start[i + 1]):
+        total += wp.dot(gradient[k], u[rows.index[k]] - ui)
+    dilation[i] = total
+
+
+@wp.kernel
+def assemble_surfactant_e(
+    x: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
+    gamma: wp.array(dtype=float),
+    dilation: wp.array(dtype=float),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    n_e: int,
+    stiffness: float,
+    g: wp.vec3,
+    dt: float,
+    # outputs
+    diag: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    b: wp.array(dtype=float),
+    start: wp.array(dtype=float),
+):
+    """Matrix and right-hand side of (14) for gamma = Gamma/Gamma_0 at the end of the step.
+
+    Flux between a pair: C_ij (gamma_j - gamma_i) - g.(x_j - x_i), C = 2 R T Gamma_0/(rho eta); none across a rim.
+
+    Args:
+        x: [n] m.
+        area: [n_e] m^2.
+        eta: [n_e] m.
+        gamma: [n_e] relative concentration before the step.
+        dilation: [n_e] div_s u before the step, 1/s.
+        weight: [pairs] a_i a_j K_ij.
+        rows: E:E neighbours.
+        n_e: number of E.
+        stiffness: 2 R T Gamma_0/rho, m^3/s^2.
+        g: acceleration of gravity, m/s^2.
+        dt: s.
+        diag: [n_e].
+        pair: [pairs].
+        b: [n_e].
+        start: [n_e] first guess.
+    """
+    i = wp.tid()
+    p = x[i]
+    body = float(0.0)
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        c = float(0.0)
+        if j < n_e:
+            w = weight[k]
+            c = dt * w * stiffness / log_mean(eta[i], eta[j])
+            body += w * wp.dot(g, x[j] - p)
+        pair[k] = c
+    diag[i] = area[i] / (dt * gamma[i])
+    b[i] = area[i] * (1.0 / dt - dilation[i]) - dt * body
+    start[i] = gamma[i]
+
+
+@wp.kernel
+def accelerate_tangential_e(
+    x: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    eta: wp.array(dtype=float),
+    gamma: wp.array(dtype=float),
+    rows: Neighbors,
+    gradient: wp.array(dtype=wp.vec3),
+    n_e: int,
+    stiffness: float,
+    g: wp.vec3,
+    drag: float,
+    density: float,
+    dt: float,
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+):
+    """u^T after Marangoni force, gravity and air drag, (15) from the same pair fluxes as (14).
+
+    A film in hydrostatic balance has every pair flux zero and stays at rest to rounding.
+
+    Args:
+        x: [n] m.
+        normal: [n] unit normals.
+        eta: [n_e] m.
+        gamma: [n_e] relative concentration at the end of the step.
+        rows: E:E neighbours.
+        gradient: [pairs] gradient weights over E alone, 1/m.
+        n_e: number of E.
+        stiffness: 2 R T Gamma_0/rho, m^3/s^2.
+        g: m/s^2.
+        drag: traction per speed, Pa s/m, taken implicitly.
+        density: kg/m^3.
+        dt: s.
+        u: [n] m/s.
+    """
+    i = wp.tid()
+    p = x[i]
+    total = wp.vec3()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        if j < n_e:
+            flux = stiffness / log_mean(eta[i], eta[j]) * (gamma[j] - gamma[i]) - wp.dot(g, x[j] - p)
+            total -= flux * gradient[k]
+    n = normal[i]
+    v = u[i]
+    un = wp.dot(v, n)
+    ut = tangential(v + dt * total, n) / (1.0 + dt * drag / (density * eta[i]))
+    u[i] = ut + un * n
+
+
+@wp.kernel
+def assemble_viscosity_e(
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    normal: wp.array(dtype=wp.vec3),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    n_e: int,
+    viscosity: float,
+    u: wp.array(dtype=wp.vec3),
+    dt: float,
+    # outputs
+    diag: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    b: wp.array(dtype=wp.vec3),
+    start: wp.array(dtype=wp.vec3),
+):
+    """Implicit in-plane viscosity m u' - dt div(m nu grad u') = m u, conserving momentum pair by pair.
+
+    Args:
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        normal: [n] unit normals.
+        weight: [pairs] a_i a_j K_ij.
+        rows: E:E neighbours.
+        n_e: number of E.
+        viscosity: nu, m^2/s.
+        u: [n] m/s.
+        dt: s.
+        diag: [n_e].
+        pair: [pairs].
+        b: [n_e].
+        start: [n_e] first guess.
+    """
+    i = wp.tid()
+    mi = mass[i] / area[i]
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        c = float(0.0)
+        if j < n_e:
+            c = dt * viscosity * 0.5 * (mi + mass[j] / area[j]) * weight[k]
+        pair[k] = c
+    ut = tangential(u[i], normal[i])
+    diag[i] = mass[i]
+    b[i] = mass[i] * ut
+    start[i] = ut
+
+
+@wp.kernel
+def replace_tangential_e(
+    ut: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+):
+    """Replace the tangential part of u. [n_e], m/s."""
+    i = wp.tid()
+    n = normal[i]
+    u[i] = tangential(ut[i], n) + wp.dot(u[i], n) * n

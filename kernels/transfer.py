@@ -1,0 +1,295 @@
+"""Stages 1 and 4: conservative APIC transfer between L and E (Algorithms 1 and 4)."""
+
+import warp as wp
+
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.sph import kernel_w, tangent_basis, tangential
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def normalize_l(
+    x_l: wp.array(dtype=wp.vec3),
+    x_e: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    n_e: int,
+    # outputs
+    alpha: wp.array(dtype=float),
+    offset: wp.array(dtype=wp.vec3),
+    lost: wp.array(dtype=int),
+):
+    """alpha_L = sum_E W(E, L) of (6) over E alone, and the offset of the weighted mean of the E from L.
+
+    Args:
+        x_l: [n_l] m.
+        x_e: [n] m.
+        rows: L:E neighbours.
+        r: support radius, m.
+        n_e: number of E; boundary particles beyond take no part, so that the transfer conserves.
+        alpha: [n_l] 1/m^2.
+        offset: [n_l] sum_E W^ x_E - x_L, m.
+        lost: [n_l] 1 for an L that no E is near to.
+    """
+    i = wp.tid()
+    p = x_l[i]
+    total = float(0.0)
+    mean = wp.vec3()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        if j < n_e:
+            d = x_e[j] - p
+            w = kernel_w(wp.length(d), r)
+            total += w
+            mean += w * d
+    if total > 0.0:
+        mean = mean / total
+    alpha[i] = total
+    offset[i] = mean
+    lost[i] = wp.where(total > 0.0, 0, 1)
+
+
+@wp.kernel
+def gather_l_to_e(
+    x_e: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    density: float,
+    x_l: wp.array(dtype=wp.vec3),
+    u_l: wp.array(dtype=wp.vec3),
+    affine_l: wp.array(dtype=wp.mat33),
+    mass_l: wp.array(dtype=float),
+    surfactant_l: wp.array(dtype=float),
+    eta_l: wp.array(dtype=float),
+    alpha: wp.array(dtype=float),
+    offset: wp.array(dtype=wp.vec3),
+    # outputs
+    mass_e: wp.array(dtype=float),
+    surfactant_e: wp.array(dtype=float),
+    claim_e: wp.array(dtype=float),
+    momentum_e: wp.array(dtype=wp.vec3),
+):
+    """Gather mass, surfactant, claimed area and APIC momentum, (6) and (7).
+
+    The affine part is taken about the weighted mean of the E, where the carried velocity belongs: its sum over the
+    E vanishes, so momentum is conserved to rounding, and affine fields are reproduced.
+
+    Args:
+        x_e: [n] m.
+        normal: [n] unit normals.
+        rows: E:L neighbours.
+        r: support radius, m.
+        density: rho, kg/m^3.
+        x_l: [n_l] m.
+        u_l: [n_l] carried velocity, m/s.
+        affine_l: [n_l] velocity gradient B D^-1, 1/s.
+        mass_l: [n_l] kg.
+        surfactant_l: [n_l] amount c, mol (of one interface).
+        eta_l: [n_l] thickness, m.
+        alpha: [n_l] from `normalize_l`.
+        offset: [n_l] from `normalize_l`.
+        mass_e: [n_e] kg.
+        surfactant_e: [n_e] mol.
+        claim_e: [n_e] area that the L take up at their thickness, m^2.
+        momentum_e: [n_e] kg m/s.
+    """
+    i = wp.tid()
+    p = x_e[i]
+    mass = float(0.0)
+    amount = float(0.0)
+    claim = float(0.0)
+    momentum = wp.vec3()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        d = p - x_l[j]
+        w = kernel_w(wp.length(d), r)
+        if w > 0.0:
+            w = w / alpha[j]
+            wm = w * mass_l[j]
+            mass += wm
+            amount += w * surfactant_l[j]
+            claim += wm / eta_l[j]
+            momentum += wm * (u_l[j] + affine_l[j] * (d - offset[j]))
+    mass_e[i] = mass
+    surfactant_e[i] = amount
+    claim_e[i] = claim / density
+    momentum_e[i] = momentum
+
+
+@wp.kernel
+def split_velocity_e(
+    mass: wp.array(dtype=float),
+    momentum: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+):
+    """u_E: tangential part from the L, normal part kept.
+
+    E move with the normal velocity, so it needs no transport; passing it through the L would only smear it.
+    """
+    i = wp.tid()
+    n = normal[i]
+    v = u[i]
+    if mass[i] > 0.0:
+        v = momentum[i] / mass[i]
+    u[i] = tangential(v, n) + wp.dot(u[i], n) * n
+
+
+@wp.kernel
+def keep_normal_e(normal: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3)):
+    """u_E of an E-only film: the normal part alone."""
+    i = wp.tid()
+    u[i] = wp.dot(u[i], normal[i]) * normal[i]
+
+
+@wp.kernel
+def gather_e_to_l(
+    x_l: wp.array(dtype=wp.vec3),
+    x_e: wp.array(dtype=wp.vec3),
+    u_e: wp.array(dtype=wp.vec3),
+    normal_e: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    # outputs
+    u_l: wp.array(dtype=wp.vec3),
+    affine_l: wp.array(dtype=wp.mat33),
+    v_l: wp.array(dtype=wp.vec3),
+    normal_l: wp.array(dtype=wp.vec3),
+):
+    """Velocity (16), affine state (17) and inertia (18) of each L, boundary particles taking part.
+
+    Args:
+        x_l: [n_l] m.
+        x_e: [n] m.
+        u_e: [n] m/s.
+        normal_e: [n] unit normals.
+        rows: L:E neighbours.
+        r: support radius, m.
+        u_l: [n_l] carried velocity sum W^ u_E, m/s.
+        affine_l: [n_l] B D^-1 with differences of position in the tangent plane, 1/s.
+        v_l: [n_l] velocity at the particle itself, m/s.
+        normal_l: [n_l] unit normals.
+    """
+    i = wp.tid()
+    p = x_l[i]
+    total = float(0.0)
+    first = wp.vec3()
+    second = wp.mat33()
+    velocity = wp.vec3()
+    moment = wp.mat33()
+    n = wp.vec3()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        d = x_e[j] - p
+        w = kernel_w(wp.length(d), r)
+        if w > 0.0:
+            u = u_e[j]
+            total += w
+            first += w * d
+            second += w * wp.outer(d, d)
+            velocity += w * u
+            moment += w * wp.outer(u, d)
+            n += w * normal_e[j]
+    if total > 0.0:
+        n = wp.normalize(n)
+        first = first / total
+        velocity = velocity / total
+        b = moment / total - wp.outer(velocity, first)
+        cov = second / total - wp.outer(first, first)
+        e1, e2 = tangent_basis(n)
+        d11 = wp.dot(e1, cov * e1)
+        d12 = wp.dot(e1, cov * e2)
+        d22 = wp.dot(e2, cov * e2)
+        det = d11 * d22 - d12 * d12
+        affine = wp.mat33()
+        if det > 1.0e-4 * d11 * d22:
+            b1 = b * e1
+            b2 = b * e2
+            affine = wp.outer((d22 * b1 - d12 * b2) / det, e1) + wp.outer((d11 * b2 - d12 * b1) / det, e2)
+        u_l[i] = velocity
+        affine_l[i] = affine
+        v_l[i] = velocity - affine * first
+        normal_l[i] = n
+
+
+@wp.kernel
+def interpolate_velocity_l(
+    x_l: wp.array(dtype=wp.vec3),
+    v_l: wp.array(dtype=wp.vec3),
+    affine_l: wp.array(dtype=wp.mat33),
+    half_dt: float,
+    x_e: wp.array(dtype=wp.vec3),
+    u_e: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    # outputs
+    v_mid: wp.array(dtype=wp.vec3),
+):
+    """Velocity half a step along the path of each L, for the second-order advance. [n_l], m/s."""
+    i = wp.tid()
+    p = x_l[i] + half_dt * v_l[i]
+    total = float(0.0)
+    first = wp.vec3()
+    velocity = wp.vec3()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        d = x_e[j] - p
+        w = kernel_w(wp.length(d), r)
+        total += w
+        first += w * d
+        velocity += w * u_e[j]
+    v = v_l[i]
+    if total > 0.0:
+        v = (velocity - affine_l[i] * first) / total
+    v_mid[i] = v
+
+
+@wp.kernel
+def evolve_thickness_l(
+    x_l: wp.array(dtype=wp.vec3),
+    x_e: wp.array(dtype=wp.vec3),
+    dilation: wp.array(dtype=float),
+    claim: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    rows: Neighbors,
+    r: float,
+    n_e: int,
+    dt: float,
+    rate: float,
+    # outputs
+    eta_l: wp.array(dtype=float),
+):
+    """Thickness of L, (8), kept in step with that of E.
+
+    eta falls as the film dilates, and where the L at their thickness claim more area than the E control
+    (claim/area > 1) it is raised at `rate`: detail between L is carried, their mean cannot drift.
+
+    Args:
+        x_l: [n_l] m.
+        x_e: [n] m.
+        dilation: [n_e] div_s u, 1/s.
+        claim: [n_e] claimed area, m^2.
+        area: [n_e] control area, m^2.
+        rows: L:E neighbours.
+        r: support radius, m.
+        n_e: number of E.
+        dt: s.
+        rate: share of the mismatch mended in this step, 0 to 1.
+        eta_l: [n_l] m.
+    """
+    i = wp.tid()
+    p = x_l[i]
+    total = float(0.0)
+    growth = float(0.0)
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        if j < n_e:
+            w = kernel_w(wp.length(x_e[j] - p), r)
+            if w > 0.0 and claim[j] > 0.0:
+                total += w
+                growth += w * (rate * wp.log(claim[j] / area[j]) - dt * dilation[j])
+    if total > 0.0:
+        eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))

@@ -1,0 +1,138 @@
+"""Stages 5 and 6 on the host: E advance with redistribution, L advance with projection."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from melp_warp.film import Film
+from melp_warp.geometry import Geometry
+from melp_warp.kernels import advance as ka
+from melp_warp.kernels import boundary as kb
+from melp_warp.kernels import redistribute as kr
+from melp_warp.kernels import transfer as kt
+from melp_warp.linear import ConjugateGradient, LinearOperator
+from melp_warp.neighbors import NeighborLists
+from melp_warp.state import State
+
+SHIFT_TOLERANCE = 0.05
+SHIFT_ITERATIONS = 20
+SHIFT_LIMIT = 0.1
+"""Largest shift of an E in one redistribution, in spacings."""
+
+
+class EulerianAdvance:
+    """Motion of E with the surface. Made only for films whose surface moves.
+
+    Attributes:
+        frame: [1] velocity of the film as a whole, m/s.
+        x_old: [n] positions before the step, m.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        self.frame = film.zeros(1, wp.vec3)
+        self.x_old = wp.clone(state.e.x)
+        self._moment, self._net = film.parts(wp.mat33), film.parts(wp.vec3)
+        self._smoothed = film.zeros(film.n_e, wp.vec3)
+
+    def advance(self, u_mid: wp.array, dt: float) -> None:
+        """Move E with the normal velocity, their drift and the film as a whole (19)."""
+        film, e = self.film, self.state.e
+        wp.copy(self.x_old, e.x)
+        if film.features.closed:
+            film.launch_parts(
+                ka.translation_chunks, [e.normal, self.geometry.area, u_mid, film.n_e], [self._moment, self._net]
+            )
+            film.launch_one(ka.solve_translation, [self._moment, self._net], [self.frame])
+        film.launch_e(
+            ka.smooth_drift_e,
+            [e.x, e.drift, self.lists.ee.rows, film.r, film.n_e, film.numerics.xsph],
+            [self._smoothed],
+        )
+        wp.copy(e.drift, self._smoothed)
+        film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, self.frame, dt], [e.x])
+
+
+class Redistribution:
+    """Even spacing of E by pseudo-pressure (20), Algorithm 5.
+
+    Attributes:
+        spread: [3] (delta_max - delta_min)/delta_mean, delta_mean (1/m^2), 1 if E were shifted.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
+        self.solver = ConjugateGradient(operator, film.total, wp.float32, SHIFT_TOLERANCE, SHIFT_ITERATIONS)
+        self.spread = film.zeros(3)
+        self._part = film.parts(wp.vec4)
+        self._x, self._u, self._drift = (film.zeros(film.n_e, wp.vec3) for _ in range(3))
+
+    def apply(self, dt: float) -> None:
+        """Shift E once towards even density; nothing moves where the spread is below the scene's threshold."""
+        film, e, geometry, rows = self.film, self.state.e, self.geometry, self.lists.ee.rows
+        geometry.update_density()
+        film.launch_parts(kr.spread_chunks, [geometry.density, film.n_e], [self._part])
+        film.launch_one(kr.summarize_spread, [self._part, film.numerics.spread], [self.spread])
+        film.launch_e(kr.load_pressure_e, [geometry.density, self.spread], [self.solver.b, self.solver.x])
+        self.solver.solve()
+        film.launch_e(
+            kr.shift_e,
+            [
+                self.solver.x,
+                e.x,
+                e.u,
+                e.drift,
+                e.normal,
+                geometry.base,
+                geometry.fit,
+                rows,
+                geometry.gradient,
+                film.r,
+                film.numerics.redistribution,
+                SHIFT_LIMIT * film.spacing,
+                dt,
+            ],
+            [self._x, self._u, self._drift],
+        )
+        wp.copy(e.x, self._x, count=film.n_e)
+        wp.copy(e.u, self._u, count=film.n_e)
+        wp.copy(e.drift, self._drift)
+
+
+class LagrangianAdvance:
+    """Motion of L with the material, kept on the surface. Made only for films with L."""
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        self._v_mid = film.zeros(film.n_l, wp.vec3) if film.numerics.l_order == 2 else None
+
+    def find_velocity(self, x_e: wp.array, dt: float) -> wp.array:
+        """Velocity to advance with: that at the particle, or half a step ahead. [n_l], m/s."""
+        film, lag = self.film, self.state.l
+        if self._v_mid is None:
+            return lag.v
+        film.launch_l(
+            kt.interpolate_velocity_l,
+            [lag.x, lag.v, lag.affine, 0.5 * dt, x_e, self.state.e.u, self.lists.le.rows, film.r],
+            [self._v_mid],
+        )
+        return self._v_mid
+
+    def advance(self, v: wp.array, dt: float) -> None:
+        """Move L by dt v, project them onto the surface and keep them inside the rim (Algorithm 7)."""
+        film, lag = self.film, self.state.l
+        film.launch_l(ka.advance_l, [v, dt], [lag.x])
+        if film.features.moving:
+            self.project()
+        if film.rim is not None:
+            film.launch_l(kb.confine_l, [film.rim.anchors, film.rim.outward, self.lists.le.rows, film.n_e], [lag.x])
+
+    def project(self) -> None:
+        """Put L on the surface through E."""
+        film, e = self.film, self.state.e
+        film.launch_l(
+            ka.project_l,
+            [e.x, self.geometry.base, self.geometry.fit, self.lists.le.rows, film.r, film.n_e],
+            [self.state.l.x],
+        )

@@ -1,0 +1,45 @@
+"""What a scene requires: derived from it, never set by hand. A stage that is off is not made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from melp_warp.scene import Scene
+
+
+@dataclass(frozen=True)
+class Features:
+    """Which stages a scene needs.
+
+    Attributes:
+        closed: the film encloses gas.
+        moving: the surface moves (normal dynamics, E advance and redistribution).
+        lagrangian: there are L: transfers, tangential dynamics, L advance.
+        rim: there are boundary particles.
+        marangoni: there is surfactant, so (14) is solved.
+        viscous: in-plane viscosity.
+        air: the air's added mass takes part in the normal motion.
+    """
+
+    closed: bool
+    moving: bool
+    lagrangian: bool
+    rim: bool
+    marangoni: bool
+    viscous: bool
+    air: bool
+
+    @classmethod
+    def of(cls, scene: Scene) -> Features:
+        """Derive the features of a scene."""
+        lagrangian = scene.l_per_e > 0
+        moving = not scene.shape.flat
+        return cls(
+            closed=scene.shape.closed,
+            moving=moving,
+            lagrangian=lagrangian,
+            rim=not scene.shape.closed,
+            marangoni=lagrangian and scene.material.surfactant > 0.0,
+            viscous=lagrangian and scene.material.viscosity > 0.0,
+            air=moving and scene.surroundings.air == "added_mass",
+        )

@@ -1,0 +1,99 @@
+"""What every stage of one film needs to know: sizes, support, material, the rim."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from melp_warp.features import Features
+from melp_warp.launch import launch
+from melp_warp.material import Material, Surroundings
+from melp_warp.numerics import Numerics
+
+CHUNKS = 64
+"""Number of parts in which sums are taken."""
+
+
+@dataclass
+class RimArrays:
+    """Boundary particles on the device; see `melp_warp.shapes.Rim`."""
+
+    anchors: wp.array
+    outward: wp.array
+    mirror: wp.array
+
+
+@dataclass
+class Film:
+    """A film's constants, fixed for a run.
+
+    Attributes:
+        spacing: mean E spacing dx, m.
+        n_e: number of E.
+        n_b: number of boundary particles.
+        n_l: number of L.
+        radius: radius of the sphere of the film's volume, for the air's added mass; infinite for an open film, m.
+    """
+
+    device: wp.Device
+    features: Features
+    material: Material
+    surroundings: Surroundings
+    numerics: Numerics
+    spacing: float
+    n_e: int
+    n_b: int
+    n_l: int
+    rim: RimArrays | None = None
+    radius: float = float("inf")
+
+    @property
+    def total(self) -> int:
+        """E and boundary particles together."""
+        return self.n_e + self.n_b
+
+    @property
+    def r(self) -> float:
+        """Kernel support radius, m."""
+        return self.numerics.support * self.spacing
+
+    @property
+    def gravity(self) -> wp.vec3:
+        """m/s^2."""
+        return wp.vec3(*self.surroundings.gravity)
+
+    @property
+    def stiffness(self) -> float:
+        """2 R T Gamma_0/rho, m^3/s^2."""
+        m = self.material
+        return 2.0 * m.rt * m.surfactant / m.density
+
+    @property
+    def slope(self) -> float:
+        """R T Gamma_0, N/m."""
+        return self.material.rt * self.material.surfactant
+
+    def zeros(self, n: int, dtype=wp.float32) -> wp.array:
+        """A zeroed array on the film's device."""
+        return wp.zeros(n, dtype=dtype, device=self.device)
+
+    def parts(self, dtype=wp.float32) -> wp.array:
+        """Room for the parts of a sum."""
+        return self.zeros(CHUNKS, dtype)
+
+    def launch_e(self, kernel, inputs, outputs=()) -> None:
+        """One thread an E."""
+        launch(kernel, self.n_e, inputs, outputs, self.device)
+
+    def launch_l(self, kernel, inputs, outputs=()) -> None:
+        """One thread an L."""
+        launch(kernel, self.n_l, inputs, outputs, self.device)
+
+    def launch_parts(self, kernel, inputs, outputs=()) -> None:
+        """One thread a part of a sum."""
+        launch(kernel, CHUNKS, inputs, outputs, self.device)
+
+    def launch_one(self, kernel, inputs, outputs=()) -> None:
+        """A single thread."""
+        launch(kernel, 1, inputs, outputs, self.device)

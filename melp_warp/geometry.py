@@ -1,0 +1,72 @@
+"""Stage 2 on the host: frames, fits, curvature, areas (Algorithm 2)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from melp_warp.film import Film
+from melp_warp.kernels import geometry as kg
+from melp_warp.kernels import membrane as km
+from melp_warp.kernels.mls import vec5
+from melp_warp.neighbors import NeighborLists
+from melp_warp.state import State
+
+
+class Geometry:
+    """The surface as E see it.
+
+    Attributes:
+        base, fit: [n_e] quadratic fits.
+        gradient: [pairs] surface-gradient weights.
+        inner_gradient: [pairs] the same over E alone (another array only where there is a rim).
+        weight: [pairs] a_i a_j K_ij.
+        cell: [n_e] Voronoi areas, m^2.
+        area: [n_e] control areas, m^2.
+        density: [n_e] number density with boundary particles, 1/m^2.
+        kappa: [n_e] sum of principal curvatures at the place last asked for, 1/m.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists):
+        self.film, self.state, self.lists = film, state, lists
+        pairs = lists.ee.rows.index.shape[0]
+        self.base = film.zeros(film.n_e, wp.vec3)
+        self.fit = film.zeros(film.n_e, vec5)
+        self.gradient = film.zeros(pairs, wp.vec3)
+        self.inner_gradient = film.zeros(pairs, wp.vec3) if film.features.rim else self.gradient
+        self.weight = film.zeros(pairs)
+        self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
+        self._volume = film.parts(wp.vec2d)
+
+    def update(self) -> None:
+        """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
+        film, e, rows = self.film, self.state.e, self.lists.ee.rows
+        film.launch_e(kg.orient_frames_e, [e.x, rows, film.r], [e.normal])
+        film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.base, self.fit, self.gradient])
+        if film.features.rim:
+            film.launch_e(
+                kg.fit_inner_gradient_e, [e.x, self.base, rows, film.r, film.n_e], [self.inner_gradient]
+            )
+        self.update_density()
+        film.launch_e(kg.voronoi_area_e, [e.x, e.normal, rows, film.r], [self.cell])
+        film.launch_e(kg.control_area_e, [e.x, self.cell, self._inner, rows, film.r, film.n_e], [self.area])
+        film.launch_e(kg.pair_weights_e, [e.x, self.area, rows, film.r, film.n_e, film.spacing**2], [self.weight])
+        film.launch_parts(km.volume_chunks, [e.x, e.normal, self.area, film.n_e], [self._volume])
+        film.launch_one(km.store_volume, [self._volume], [self.state.gas])
+
+    def update_density(self) -> None:
+        """Number density (9) at the present positions."""
+        film, e = self.film, self.state.e
+        film.launch_e(
+            kg.density_e, [e.x, self.lists.ee.rows, film.r, film.n_e], [self.density, self._inner]
+        )
+
+    def curvature(self, x: wp.array) -> wp.array:
+        """Curvature of the surface through the points x, by the operator the scene chose. [n_e], 1/m."""
+        film, normal, rows = self.film, self.state.e.normal, self.lists.ee.rows
+        if film.numerics.curvature == "mls":
+            film.launch_e(kg.curvature_mls_e, [x, normal, rows, film.r], [self.kappa])
+        else:
+            film.launch_e(
+                kg.curvature_sph_e, [x, normal, self.area, rows, film.r, film.n_e, film.spacing**2], [self.kappa]
+            )
+        return self.kappa

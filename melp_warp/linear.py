@@ -1,0 +1,182 @@
+"""Conjugate gradients, relaxed Jacobi and rational functions of the surface Laplacian, as replayed graphs."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from melp_warp.kernels import linear as k
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.launch import Recorded, launch
+
+CHUNKS = 64
+
+
+class LinearOperator:
+    """(A x)_i = diag_i x_i + scale sum_j pair_ij (x_i - x_j), held as arrays that its owner fills.
+
+    Attributes:
+        diag: [n] float32.
+        pair: [pairs] float32, symmetric, aligned with `rows`.
+        scale: [1] float32.
+        rows: neighbours; entries of index >= n are boundary.
+    """
+
+    def __init__(self, n: int, rows: Neighbors, device, pair: wp.array | None = None):
+        self.n = n
+        self.rows = rows
+        self.device = device
+        self.diag = wp.zeros(n, dtype=wp.float32, device=device)
+        self.pair = pair if pair is not None else wp.zeros(rows.index.shape[0], dtype=wp.float32, device=device)
+        self.scale = wp.ones(1, dtype=wp.float32, device=device)
+
+    @property
+    def arrays(self) -> list:
+        """diag, pair, scale, rows: the arguments of the kernels."""
+        return [self.diag, self.pair, self.scale, self.rows]
+
+
+class _Solver:
+    """What the iterative solvers share: scalars, control and the counters read back for diagnostics."""
+
+    def __init__(self, n: int, tolerance: float, max_iterations: int, device):
+        self.n = n
+        self.device = device
+        self.scalar = wp.zeros(8, dtype=wp.float32, device=device)
+        self.go = wp.zeros(1, dtype=wp.int32, device=device)
+        self.control = wp.array([tolerance, float(max_iterations)], dtype=wp.float32, device=device)
+        self.part_a = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
+        self.part_b = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
+        self._run = Recorded(self._body, device)
+
+    def _launch(self, kernel, inputs, outputs=(), dim=None):
+        launch(kernel, self.n if dim is None else dim, inputs, outputs, self.device)
+
+    def _dot(self, a, b, partial):
+        self._launch(k.dot_chunks, [a, b, self.n], [partial], dim=CHUNKS)
+
+    def solve(self) -> None:
+        """Run the solve; the solution is left in `x`."""
+        self._run()
+
+    def report(self) -> tuple[int, float]:
+        """Iterations and relative residual of the last solve (reads back: for diagnostics only)."""
+        s = self.scalar.numpy()
+        relative = float(np.sqrt(max(s[0], 0.0) / s[5])) if s[5] > 0.0 else 0.0
+        return int(s[4]), relative
+
+
+class ConjugateGradient(_Solver):
+    """Jacobi-preconditioned conjugate gradients, or the paper's relaxed Jacobi sweeps.
+
+    Args:
+        operator: the matrix.
+        dtype: wp.float32 or wp.vec3 unknowns.
+        tolerance: stop at sqrt((r, r/A_ii)/(b, b/A_ii)) below this.
+        max_iterations: stop after this many.
+        jacobi: relaxation factor omega of Appendix B; None for conjugate gradients.
+
+    Attributes:
+        b: [n] right-hand side, filled by the owner.
+        x: [n + boundary] solution; start value in. Boundary entries stay as they are (0).
+    """
+
+    def __init__(self, operator, total, dtype, tolerance, max_iterations, jacobi: float | None = None):
+        super().__init__(operator.n, tolerance, max_iterations, operator.device)
+        self.operator = operator
+        self.jacobi = jacobi
+        self.b, self.r, self.z, self.q = (wp.zeros(self.n, dtype=dtype, device=self.device) for _ in range(4))
+        self.p = wp.zeros(total, dtype=dtype, device=self.device)
+        self.x = wp.zeros(total, dtype=dtype, device=self.device)
+        self.inverse = wp.zeros(self.n, dtype=wp.float32, device=self.device)
+
+    def _body(self):
+        a = self.operator.arrays
+        self._launch(k.invert_diagonal, a, [self.inverse])
+        self._launch(k.start_residual, [self.x, self.b, *a, self.inverse], [self.r, self.z, self.p])
+        self._dot(self.r, self.z, self.part_a)
+        self._launch(k.weighted_chunks, [self.b, self.b, self.inverse, self.n], [self.part_b], dim=CHUNKS)
+        self._launch(k.start_scalars, [self.part_a, self.part_b, self.control], [self.scalar, self.go], dim=1)
+        wp.capture_while(self.go, self._iterate if self.jacobi is None else self._sweep)
+
+    def _iterate(self):
+        self._launch(k.apply_operator, [self.p, *self.operator.arrays], [self.q])
+        self._dot(self.p, self.q, self.part_a)
+        self._launch(k.set_alpha, [self.part_a], [self.scalar], dim=1)
+        self._launch(k.advance_solution, [self.scalar, self.p, self.q, self.inverse], [self.x, self.r, self.z])
+        self._dot(self.r, self.z, self.part_a)
+        self._launch(k.set_beta, [self.part_a, self.control, 1.0], [self.scalar, self.go], dim=1)
+        self._launch(k.advance_direction, [self.scalar, self.z], [self.p])
+
+    def _sweep(self):
+        arguments = [self.b, *self.operator.arrays, self.inverse, self.jacobi]
+        self._launch(k.sweep_jacobi, [self.x, *arguments], [self.r, self.z, self.p])
+        self._launch(k.sweep_jacobi, [self.p, *arguments], [self.r, self.z, self.x])
+        self._dot(self.r, self.z, self.part_a)
+        self._launch(k.set_beta, [self.part_a, self.control, 1.0], [self.scalar, self.go], dim=1)
+
+
+class RationalLaplacian(_Solver):
+    """x = f(-Laplacian) b for f(lambda) = Re sum_k g_k/(lambda + p_k), by multi-shift conjugate gradients.
+
+    One Krylov sequence, that of the smallest real p_k, serves all poles.
+
+    Attributes:
+        b: [n] right-hand side, filled by the owner.
+        x: [n] solution.
+    """
+
+    def __init__(self, n, total, pair, area, rows: Neighbors, tolerance, max_iterations, device):
+        super().__init__(n, tolerance, max_iterations, device)
+        self.pair, self.area, self.rows = pair, area, rows
+        self.b, self.r, self.q, self.y, self.x = (wp.zeros(n, dtype=wp.float32, device=device) for _ in range(5))
+        self.p = wp.zeros(total, dtype=wp.float32, device=device)
+        self.real, self.imag = (wp.zeros(n, dtype=k.vec8, device=device) for _ in range(2))
+        self.zeta = wp.zeros((3, k.POLES), dtype=wp.vec2, device=device)
+        self.poles = k.Poles()
+        self.poles.p, self.poles.g = (wp.zeros(k.POLES, dtype=wp.vec2, device=device) for _ in range(2))
+        self.poles.weight = wp.zeros(k.POLES, dtype=wp.float32, device=device)
+
+    def set_function(self, poles: np.ndarray, residues: np.ndarray, low: float) -> None:
+        """Set p_k and g_k (complex; conjugate pairs whole) and the lowest eigenvalue that matters.
+
+        Raises:
+            ValueError: no pole is real and above 0, or there are more than eight.
+        """
+        keep = poles.imag > -1e-9 * np.abs(poles)
+        poles, residues = poles[keep], residues[keep]
+        paired = poles.imag > 1e-9 * np.abs(poles)
+        residues = np.where(paired, 2.0 * residues, residues)
+        seed = np.where(~paired & (poles.real > 0.0), poles.real, np.inf)
+        if not np.isfinite(seed.min()) or len(poles) > k.POLES:
+            raise ValueError(f"no usable poles among {poles}")
+        order = np.argsort(seed, kind="stable")
+        missing = k.POLES - len(poles)
+        p = np.pad(poles[order], (0, missing), mode="edge")
+        g = np.pad(residues[order], (0, missing))
+        weight = np.abs(g) / np.abs(p + low)
+        size = abs(np.sum(g / (low + p)).real)
+        for array, values in ((self.poles.p, p), (self.poles.g, g)):
+            array.assign(np.stack([values.real, values.imag], axis=1).astype(np.float32))
+        self.poles.weight.assign((weight / size).astype(np.float32))
+
+    def _body(self):
+        self._launch(k.start_shifted, [self.b, self.area], [self.r, self.p, self.real, self.imag, self.y])
+        self._launch(k.start_zeta, [], [self.zeta], dim=k.POLES)
+        self._dot(self.r, self.r, self.part_a)
+        self._launch(k.start_scalars, [self.part_a, self.part_a, self.control], [self.scalar, self.go], dim=1)
+        wp.capture_while(self.go, self._iterate)
+        self._launch(k.unscale, [self.y, self.area], [self.x])
+
+    def _iterate(self):
+        self._launch(k.apply_shifted, [self.p, self.area, self.pair, self.poles, self.rows], [self.q])
+        self._dot(self.p, self.q, self.part_a)
+        self._launch(k.set_alpha, [self.part_a], [self.scalar], dim=1)
+        self._launch(k.set_zeta, [self.scalar, self.poles], [self.zeta], dim=k.POLES)
+        self._launch(
+            k.advance_shifted, [self.scalar, self.zeta, self.poles, self.q, self.real, self.imag], [self.y, self.r]
+        )
+        self._dot(self.r, self.r, self.part_a)
+        self._launch(k.set_beta, [self.part_a, self.control, 0.0], [self.scalar, self.go], dim=1)
+        self._launch(k.direct_shifted, [self.scalar, self.zeta, self.r], [self.p, self.real, self.imag])
+        self._launch(k.stop_shifted, [self.zeta, self.poles], [self.scalar, self.go], dim=1)

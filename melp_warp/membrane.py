@@ -1,0 +1,209 @@
+"""Stage 3 on the host, normal: tension, gas, weight and air (12), implicit or explicit."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from melp_warp import air
+from melp_warp.film import Film
+from melp_warp.geometry import Geometry
+from melp_warp.kernels import membrane as km
+from melp_warp.launch import launch
+from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
+from melp_warp.neighbors import NeighborLists
+from melp_warp.state import State
+from melp_warp.surfactant import Fields
+
+SWEEPS = 2
+"""Corrections for an uneven film mass where the air takes part; each shrinks the error by |m - mean|/(m + A)."""
+
+
+class _Pair:
+    """Right-hand side and solution."""
+
+    def __init__(self, film: Film):
+        self.b, self.x = film.zeros(film.n_e), film.zeros(film.n_e)
+
+
+class FilmResponse:
+    """Change of normal velocity under a load, (m - c lap_s) x = b, without air."""
+
+    def __init__(self, film: Film, lists: NeighborLists, geometry: Geometry):
+        self.film = film
+        operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
+        numerics = film.numerics
+        self.load, self.unit = (
+            ConjugateGradient(operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations)
+            for _ in range(2)
+        )
+        self.diag = operator.diag
+        self._scale = operator.scale
+
+    def prepare(self, stiffness: float) -> None:
+        """Set c = 2 sigma theta^2 dt^2 (N s^2/m = kg)."""
+        self._scale.fill_(stiffness)
+
+    def solve(self) -> tuple[wp.array, wp.array]:
+        """Responses to the load `load.b` and to the unit pressure `unit.b`, the last ones as first guesses."""
+        self.load.solve()
+        if self.film.features.closed:
+            self.unit.solve()
+        return self.load.x, self.unit.x
+
+    def report(self) -> tuple[int, float]:
+        """Iterations and residual of the last load solve."""
+        return self.load.report()
+
+
+class AirResponse:
+    """The same with the air's added mass: (m + A(-lap_s) - c lap_s) x = b."""
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.geometry, self.state = film, geometry, state
+        numerics, n = film.numerics, film.n_e
+        self.solver = RationalLaplacian(
+            n,
+            film.total,
+            geometry.weight,
+            geometry.area,
+            lists.ee.rows,
+            numerics.tolerance,
+            numerics.max_iterations,
+            film.device,
+        )
+        self.load, self.unit = _Pair(film), _Pair(film)
+        self.diag = film.zeros(n)
+        self.mean = wp.full(1, film.material.areal_mass, dtype=wp.float32, device=film.device)
+        longest = film.radius if np.isfinite(film.radius) else np.sqrt(film.spacing**2 * n / np.pi)
+        self.low = 2.0 / longest**2
+        self.poles = air.fit_poles(
+            self.low, 4.0 * (np.pi / film.spacing) ** 2, film.surroundings.air_density, film.radius
+        )
+        self._stiffness = -1.0
+
+    def prepare(self, stiffness: float) -> None:
+        """Set c; new partial fractions only where it changed."""
+        if stiffness != self._stiffness:
+            new = air.response(self.film.material.areal_mass, stiffness, *self.poles)
+            self.solver.set_function(*new, self.low)
+            self._stiffness = stiffness
+
+    def solve(self) -> tuple[wp.array, wp.array]:
+        """As `FilmResponse.solve`."""
+        self._respond(self.load)
+        if self.film.features.closed:
+            self._respond(self.unit)
+        return self.load.x, self.unit.x
+
+    def _respond(self, pair: _Pair) -> None:
+        pair.x.zero_()
+        for _ in range(SWEEPS):
+            self.film.launch_e(
+                km.lower_residual_e,
+                [pair.b, self.state.e.mass, self.geometry.area, self.mean, pair.x],
+                [self.solver.b],
+            )
+            self.solver.solve()
+            wp.copy(pair.x, self.solver.x)
+
+    def report(self) -> tuple[int, float]:
+        """Iterations and residual of the last solve."""
+        return self.solver.report()
+
+
+class Membrane:
+    """Normal dynamics. Made only for films whose surface moves.
+
+    The force is taken at the surface predicted with the present velocity, x + theta dt u_n n, and only the change of
+    velocity is solved for: rigid motion and free flight cost nothing and are not damped.
+
+    Attributes:
+        u_mid: [n_e] normal speed that moves E in this step, m/s.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields):
+        self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
+        self.theta = {"backward_euler": 1.0, "trapezoid": 0.5, "explicit": 1.0}[film.numerics.scheme]
+        self.explicit = film.numerics.scheme == "explicit"
+        n = film.n_e
+        self.predicted = film.zeros(film.total, wp.vec3)
+        self.force, self.external, self.u_mid = film.zeros(n), film.zeros(n), film.zeros(n)
+        self.rigid = film.zeros(2, wp.vec3)
+        self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
+        self.net, self.net_external = film.parts(wp.vec3), film.parts(wp.vec3)
+        self.swept = film.parts(wp.vec3d)
+        if film.features.air:
+            self.response = AirResponse(film, state, lists, geometry)
+            self.added = air.rigid_added_mass(film.surroundings.air_density, film.radius)
+        else:
+            self.response = FilmResponse(film, lists, geometry)
+            self.added = 0.0
+
+    def solve(self, dt: float) -> None:
+        """Advance the normal velocity of E by dt and set `u_mid`."""
+        ahead = 0.0 if self.explicit else self.theta * dt
+        self._load(ahead, dt)
+        change, unit = self._respond(dt)
+        if self.film.features.closed:
+            self._close_gas(change, unit, dt)
+        self.film.launch_e(
+            km.apply_membrane_e,
+            [self.state.e.normal, change, unit, self.state.gas, self.rigid, self.theta, dt],
+            [self.state.e.u, self.u_mid],
+        )
+
+    def _load(self, ahead: float, dt: float) -> None:
+        film, e, m = self.film, self.state.e, self.film.material
+        self._predict(ahead)
+        kappa = self.geometry.curvature(self.predicted)
+        weight = wp.vec3(*[c * (1.0 - film.surroundings.lift) for c in film.surroundings.gravity])
+        film.launch_e(
+            km.film_force_e,
+            [kappa, self.fields.gamma, e.normal, e.mass, self.geometry.area, self.state.gas, m.tension, film.slope,
+             weight],
+            [self.force, self.external],
+        )
+        common = [self.force, self.external, e.normal, e.mass, self.geometry.area]
+        if film.features.closed:
+            film.launch_parts(
+                km.net_force_chunks,
+                [*common, self.added, film.n_e],
+                [self.moment, self.inertia, self.net, self.net_external],
+            )
+            film.launch_one(
+                km.rigid_motion, [self.moment, self.inertia, self.net, self.net_external], [self.rigid]
+            )
+        film.launch_e(
+            km.load_membrane_e,
+            [*common, self.rigid, self.added, dt],
+            [self.response.load.b, self.response.unit.b, self.response.diag],
+        )
+
+    def _predict(self, ahead: float) -> None:
+        e = self.state.e
+        launch(
+            km.predict_position_e,
+            self.film.total,
+            [e.x, e.u, e.normal, self.film.n_e, ahead],
+            [self.predicted],
+            self.film.device,
+        )
+
+    def _respond(self, dt: float) -> tuple[wp.array, wp.array]:
+        if self.explicit:
+            for pair in (self.response.load, self.response.unit):
+                self.film.launch_e(km.explicit_response_e, [pair.b, self.response.diag], [pair.x])
+            return self.response.load.x, self.response.unit.x
+        self.response.prepare(2.0 * self.film.material.film_tension * (self.theta * dt) ** 2)
+        return self.response.solve()
+
+    def _close_gas(self, change: wp.array, unit: wp.array, dt: float) -> None:
+        film, e = self.film, self.state.e
+        film.launch_parts(
+            km.swept_chunks,
+            [e.u, e.normal, self.geometry.area, self.geometry.kappa, change, unit, self.rigid, self.theta, dt,
+             film.n_e],
+            [self.swept],
+        )
+        film.launch_one(km.close_gas, [self.swept, film.surroundings.pressure], [self.state.gas])

@@ -1,0 +1,224 @@
+"""From a scene to the particles it starts with."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import warp as wp
+
+from melp_warp.errors import InputError, require
+from melp_warp.features import Features
+from melp_warp.film import Film, RimArrays
+from melp_warp.kernels import transfer as kt
+from melp_warp.scene import Scene
+from melp_warp.state import EulerianState, LagrangianState, State, allocate
+from melp_warp.stepper import Stepper
+
+RELAXATION_STEPS = 30
+AREA_STEPS = 4
+
+
+def _field(function, points: np.ndarray, default: float, name: str, width: int = 1) -> np.ndarray:
+    """Evaluate a scene's field and check it."""
+    shape = (len(points),) if width == 1 else (len(points), width)
+    if function is None:
+        return np.full(shape, default)
+    values = np.asarray(function(points), dtype=np.float64)
+    require(values.shape == shape, name, values.shape, f"a field of shape {shape}")
+    if not np.all(np.isfinite(values)):
+        bad = int(np.argwhere(~np.isfinite(values))[0][0])
+        raise InputError(f"{name} must be finite everywhere, got {values[bad]!r} at {points[bad].tolist()}")
+    return values
+
+
+def _positive(values: np.ndarray, points: np.ndarray, name: str, at_least_zero: bool = False) -> np.ndarray:
+    bad = values < 0.0 if at_least_zero else values <= 0.0
+    if np.any(bad):
+        i = int(np.argmax(bad))
+        raise InputError(f"{name} must be above 0 everywhere, got {values[i]:.3g} at {points[i].tolist()}")
+    return values
+
+
+def _check_resolution(scene: Scene, spacing: float) -> None:
+    need = 3.0 * scene.numerics.support**2
+    require(
+        scene.e_count >= need,
+        "e_count",
+        scene.e_count,
+        f"at least {int(np.ceil(need))} with support {scene.numerics.support:g}",
+    )
+    size = 2.0 * scene.numerics.support * spacing
+    extent = float(np.min(scene.shape.extent()))
+    require(
+        extent >= size,
+        "e_count",
+        scene.e_count,
+        f"larger: the E spacing {spacing:.3g} m asks for a film of at least {size:.3g} m, it is {extent:.3g} m across",
+    )
+
+
+def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int, float]:
+    samples = scene.shape.sample(scene.e_count)
+    n_e = len(samples.points)
+    spacing = float(np.sqrt(samples.area.sum() / n_e))
+    _check_resolution(scene, spacing)
+    rim = scene.shape.rim(spacing, (scene.numerics.support + scene.numerics.skin) * spacing)
+    points, normals = samples.points, samples.normals
+    arrays, n_b = None, 0
+    if rim is not None:
+        n_b = len(rim.points)
+        points = np.concatenate([points, rim.points])
+        normals = np.concatenate([normals, rim.normals])
+        arrays = RimArrays(
+            *(wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in (rim.anchors, rim.outward, rim.mirror))
+        )
+    short = dict.fromkeys(("drift", "mass", "surfactant"), n_e)
+    state = allocate(EulerianState, short, n_e + n_b, device, count=n_e)
+    state.x.assign(points.astype(np.float32))
+    state.normal.assign(normals.astype(np.float32))
+    return state, arrays, n_b, spacing
+
+
+def _l_state(scene: Scene, n_e: int, device) -> LagrangianState | None:
+    if scene.l_per_e == 0:
+        return None
+    samples = scene.shape.sample(n_e * scene.l_per_e, offset=0.5)
+    count = len(samples.points)
+    state = allocate(LagrangianState, {}, count, device, count=count)
+    state.x.assign(samples.points.astype(np.float32))
+    state.normal.assign(samples.normals.astype(np.float32))
+    # While areas are found, eta holds 1/area and mass holds rho: an L then claims rho/(rho eta), its area.
+    state.eta.assign((1.0 / samples.area).astype(np.float32))
+    state.mass.fill_(scene.material.density)
+    return state
+
+
+def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
+    """Sample the scene's shape and set up the stepper with consistent masses, velocities and gas.
+
+    Raises:
+        InputError: the scene cannot be sampled as asked.
+    """
+    features = Features.of(scene)
+    require(
+        features.moving or features.lagrangian, "l_per_e", scene.l_per_e, "at least 1 for a flat film, which has no normal motion"
+    )
+    e, rim, n_b, spacing = _e_state(scene, device)
+    lagrangian = _l_state(scene, e.count, device)
+    gas = wp.zeros(5, dtype=wp.float64, device=device)
+    state = State(e, lagrangian, gas)
+    film = Film(
+        device=device,
+        features=features,
+        material=scene.material,
+        surroundings=scene.surroundings,
+        numerics=scene.numerics,
+        spacing=spacing,
+        n_e=e.count,
+        n_b=n_b,
+        n_l=lagrangian.count if lagrangian else 0,
+        rim=rim,
+    )
+    if features.closed:
+        film.radius = float(np.sqrt(scene.shape.area / (4.0 * np.pi)))
+    stepper = Stepper(film, state)
+    if features.moving:
+        _relax(scene, stepper)
+        if features.closed:
+            film.radius = float(np.cbrt(3.0 * gas.numpy()[0] / (4.0 * np.pi)))
+        stepper = Stepper(film, state)
+    _set_masses(scene, stepper)
+    _set_velocity(scene, stepper)
+    if features.closed:
+        _fill_gas(film, stepper)
+    return film, stepper
+
+
+def _relax(scene: Scene, stepper: Stepper) -> None:
+    """Even out the E on a curved shape, keeping them on it."""
+    if stepper.redistribution is None or scene.shape.even:
+        return
+    e = stepper.state.e
+    for _ in range(RELAXATION_STEPS):
+        stepper.redistribution.apply(1.0)
+        points = e.x.numpy()
+        points[: e.count] = scene.shape.project(points[: e.count].astype(np.float64))
+        e.x.assign(points)
+        e.drift.zero_()
+        stepper.lists.rebuild()
+        stepper.geometry.update()
+
+
+def _set_masses(scene: Scene, stepper: Stepper) -> None:
+    """Give every particle its area's share of liquid and surfactant."""
+    film, state, m = stepper.film, stepper.state, scene.material
+
+    def masses(points, area):
+        eta = _positive(_field(scene.thickness, points, m.thickness, "thickness"), points, "thickness")
+        gamma = _field(scene.concentration, points, m.surfactant, "surfactant")
+        _positive(gamma, points, "surfactant", at_least_zero=True)
+        return eta, m.density * eta * area, gamma * area
+
+    if state.l is None:
+        points = state.e.x.numpy()[: film.n_e].astype(np.float64)
+        _, mass, amount = masses(points, stepper.geometry.area.numpy())
+        state.e.mass.assign(mass.astype(np.float32))
+        state.e.surfactant.assign(amount.astype(np.float32))
+        return
+    _share_area(stepper)
+    lag = state.l
+    eta, mass, amount = masses(lag.x.numpy().astype(np.float64), 1.0 / lag.eta.numpy().astype(np.float64))
+    lag.eta.assign(eta.astype(np.float32))
+    lag.mass.assign(mass.astype(np.float32))
+    lag.surfactant.assign(amount.astype(np.float32))
+    stepper.transfer.gather()
+
+
+def _share_area(stepper: Stepper) -> None:
+    """Scale the areas of L until those near each E add up to its control area; put L on the surface first."""
+    film, state, transfer = stepper.film, stepper.state, stepper.transfer
+    if film.features.moving:
+        stepper.l_advance.project()
+        stepper.lists.rebuild()
+    none = film.zeros(film.n_e)
+    for _ in range(AREA_STEPS):
+        transfer.gather()
+        film.launch_l(
+            kt.evolve_thickness_l,
+            [state.l.x, state.e.x, none, transfer.claim, stepper.geometry.area, stepper.lists.le.rows, film.r,
+             film.n_e, 0.0, 1.0],
+            [state.l.eta],
+        )
+
+
+def _set_velocity(scene: Scene, stepper: Stepper) -> None:
+    film, state = stepper.film, stepper.state
+    if scene.velocity is not None:
+        points = state.e.x.numpy()[: film.n_e].astype(np.float64)
+        u = np.zeros((film.total, 3), dtype=np.float32)
+        u[: film.n_e] = _field(scene.velocity, points, 0.0, "velocity", 3)
+        state.e.u.assign(u)
+    if state.l is not None:
+        stepper.transfer.velocity_to_l()
+
+
+def _fill_gas(film: Film, stepper: Stepper) -> None:
+    """Gas at the pressure that balances the mean tension of the initial shape."""
+    stepper.fields.update()
+    state, geometry, m = stepper.state, stepper.geometry, film.material
+    kappa = geometry.curvature(state.e.x).numpy().astype(np.float64)
+    area = geometry.area.numpy().astype(np.float64)
+    sigma = m.tension - film.slope * stepper.fields.gamma.numpy().astype(np.float64)
+    gauge = float(-np.sum(area * 2.0 * sigma * kappa) / area.sum())
+    gas = state.gas.numpy().copy()
+    require(gas[0] > 0.0, "shape", gas[0], "one that encloses a positive volume, m^3")
+    pressure = film.surroundings.pressure + gauge
+    require(pressure > 0.0, "pressure", film.surroundings.pressure, f"above {-gauge:.3g} Pa for this shape")
+    gas[1], gas[2] = gauge, pressure * gas[0]
+    state.gas.assign(gas)
+
+
+def with_numerics(scene: Scene, **changes) -> Scene:
+    """The same scene with other numerics."""
+    return dataclasses.replace(scene, numerics=dataclasses.replace(scene.numerics, **changes))

@@ -1,0 +1,230 @@
+"""A simulation: a scene on a device, advanced frame by frame."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from melp_warp.errors import InputError, SimulationError
+from melp_warp.frame import ParticleFrame
+from melp_warp.kernels import diagnostics as kd
+from melp_warp.sampling import make_film
+from melp_warp.scene import Scene
+from melp_warp.state import Snapshot
+from melp_warp.stepper import STAGES
+
+
+def find_device(name: str) -> wp.Device:
+    """The Warp device of that name.
+
+    Raises:
+        InputError: no such device here.
+    """
+    try:
+        return wp.get_device(name)
+    except Exception:
+        known = ", ".join(str(d) for d in wp.get_devices())
+        raise InputError(f"device must be one of {known} on this machine, got {name!r}") from None
+
+
+class Simulation:
+    """A scene in time.
+
+    Args:
+        scene: what to simulate.
+        device: "cpu", "cuda:0", ...
+
+    Raises:
+        InputError: the scene or the device cannot be used.
+
+    Attributes:
+        has_l: whether there are Lagrangian particles.
+    """
+
+    def __init__(self, scene: Scene, device: str = "cpu"):
+        self.scene = scene
+        self.device = find_device(device)
+        self.film, self.stepper = make_film(scene, self.device)
+        self.state = self.stepper.state
+        self.has_l = self.state.l is not None
+        self._snapshot = Snapshot(self.state)
+        self._summary = self.film.parts(kd.vec12d)
+        self._energy = self.film.parts(wp.float64)
+        self._last_dt, self._substeps = 0.0, 0
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self.state.time
+
+    @property
+    def frame(self) -> int:
+        """Index of the last finished frame; 0 is the initial state."""
+        return self.state.frame
+
+    def step(self, dt: float) -> None:
+        """One step of dt seconds."""
+        self.stepper.step(dt)
+        self._last_dt = dt
+
+    def advance_frame(self) -> None:
+        """Advance by 1/fps.
+
+        Raises:
+            SimulationError: names the stage and the particle; the state is then that of the last good frame.
+        """
+        end = (self.state.frame + 1) / self.scene.fps
+        self._substeps = 0
+        for stage in STAGES:
+            self.stepper.wall[stage] = 0.0
+        try:
+            while end - self.time > 1e-9 / self.scene.fps:
+                left = end - self.time
+                self.step(left / math.ceil(left / self.largest_step() - 1e-6))
+                self._substeps += 1
+                if not self.device.is_cuda:
+                    self.stepper.check()
+            self.stepper.check()
+        except SimulationError as error:
+            self._snapshot.restore(self.state)
+            self.stepper.reset_guard()
+            raise SimulationError(f"{error}, at {end:.4g} s in frame {self.state.frame + 1}") from None
+        self.state.frame += 1
+        self.state.time = end
+        self._snapshot.save(self.state)
+
+    def largest_step(self) -> float:
+        """The scene's dt, or the step in which the fastest particle of the last one moves `cfl` spacings, s."""
+        limit = 1.0 / self.scene.fps
+        if self.scene.dt is not None:
+            return min(limit, self.scene.dt)
+        reach = self.scene.numerics.cfl * self.film.spacing
+        speed = self._relative_speed()
+        return min(limit, reach / speed) if speed > 0.0 else limit
+
+    def _relative_speed(self) -> float:
+        if self._last_dt == 0.0:
+            set_of = self.state.l or self.state.e
+            v = (set_of.v if self.has_l else set_of.u).numpy()[: set_of.count].astype(np.float64)
+            return float(np.sqrt(((v - v.mean(axis=0)) ** 2).sum(axis=1).max()))
+        return float(self.stepper.lists.travel.numpy()[2:].max()) / self._last_dt
+
+    def particles(self, which: str) -> ParticleFrame:
+        """The L ("l") or E ("e") as NumPy arrays."""
+        n = self.film.n_l if which == "l" else self.film.n_e
+        if which == "l":
+            lag = self.state.l
+            x, v, normal, eta = (a.numpy() for a in (lag.x, lag.v, lag.normal, lag.eta))
+            area = lag.mass.numpy() / (self.scene.material.density * eta)
+        else:
+            self.stepper.fields.update()
+            e = self.state.e
+            x, v, normal = (a.numpy()[:n] for a in (e.x, e.u, e.normal))
+            eta, area = self.stepper.fields.eta.numpy(), self.stepper.geometry.area.numpy()
+        return ParticleFrame(
+            points=x.astype(np.float32),
+            velocities=v.astype(np.float32),
+            ids=np.arange(n, dtype=np.int64),
+            widths=np.sqrt(4.0 / np.pi * area).astype(np.float32),
+            normals=normal.astype(np.float32),
+            thickness=(eta * 1e9).astype(np.float32),
+            region=np.zeros(n, dtype=np.int32),
+            black_film=np.zeros(n, dtype=np.int32),
+        )
+
+    def diagnostics(self) -> dict:
+        """Everything worth a line of the run's log; plain numbers (reads back)."""
+        film, state, stepper = self.film, self.state, self.stepper
+        stepper.fields.update()
+        sums = self._sums()
+        gas = state.gas.numpy()
+        result = {
+            "frame": state.frame,
+            "time": state.time,
+            "dt": self._last_dt,
+            "substeps": self._substeps,
+            "solvers": self._solver_reports(),
+            "e_count": film.n_e,
+            "l_count": film.n_l,
+            "area": float(gas[4]),
+            "volume": float(gas[0]) if film.features.closed else None,
+            "pressure": float(gas[1]) if film.features.closed else None,
+            "mass": sums[0],
+            "surfactant": sums[1],
+            "momentum": sums[2:5].tolist(),
+            "kinetic_energy": sums[5],
+            "surface_energy": self._surface_energy(),
+            "max_speed": math.sqrt(sums[6]),
+            "thickness_min": sums[7] * 1e9,
+            "thickness_mean": sums[9] / sums[10] * 1e9,
+            "thickness_max": sums[8] * 1e9,
+            "thickness_std": math.sqrt(max(sums[11] / sums[10] - (sums[9] / sums[10]) ** 2, 0.0)) * 1e9,
+            "e_spread": float(stepper.redistribution.spread.numpy()[0]) if stepper.redistribution else 0.0,
+            "lost": int(stepper.transfer.lost.numpy().sum()) if self.has_l else 0,
+            "wall_ms": {name: 1e3 * seconds for name, seconds in stepper.wall.items() if seconds > 0.0},
+        }
+        return {k: float(v) if isinstance(v, np.floating) else v for k, v in result.items()}
+
+    def _sums(self) -> np.ndarray:
+        film, state = self.film, self.state
+        if self.has_l:
+            lag = state.l
+            arrays = [lag.mass, lag.surfactant, lag.v, lag.eta, film.material.density, film.n_l]
+        else:
+            e = state.e
+            arrays = [e.mass, e.surfactant, e.u, self.stepper.fields.eta, film.material.density, film.n_e]
+        film.launch_parts(kd.summarize_chunks, arrays, [self._summary])
+        parts = self._summary.numpy()
+        total = parts.sum(axis=0)
+        total[6], total[7], total[8] = parts[:, 6].max(), parts[:, 7].min(), parts[:, 8].max()
+        return total
+
+    def _surface_energy(self) -> float:
+        film, s = self.film, self.stepper
+        film.launch_parts(
+            kd.energy_chunks,
+            [s.geometry.area, s.fields.gamma, film.material.tension, film.slope, film.n_e],
+            [self._energy],
+        )
+        return float(self._energy.numpy().sum())
+
+    def _solver_reports(self) -> dict:
+        s, reports = self.stepper, {}
+        if s.membrane is not None and not s.membrane.explicit:
+            reports["membrane"] = s.membrane.response.report()
+        if s.tangential is not None and s.tangential.solver is not None:
+            reports["surfactant"] = s.tangential.solver.report()
+        if s.tangential is not None and s.tangential.viscous is not None:
+            reports["viscosity"] = s.tangential.viscous.report()
+        if s.redistribution is not None:
+            reports["redistribution"] = s.redistribution.solver.report()
+        return {name: {"iterations": i, "residual": r} for name, (i, r) in reports.items()}
+
+    def save_checkpoint(self, path: str | os.PathLike) -> None:
+        """Write the state to `path` (.npz), whole or not at all."""
+        path = Path(path)
+        temporary = path.with_name(path.name + ".tmp")
+        with open(temporary, "wb") as file:
+            np.savez(file, **self.state.numpy())
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+
+    def load_checkpoint(self, path: str | os.PathLike) -> None:
+        """Go on from a checkpoint of the same scene.
+
+        Raises:
+            InputError: the file does not fit the scene.
+        """
+        with np.load(path) as stored:
+            for name, array in self.state.arrays().items():
+                if name not in stored or len(stored[name]) != len(array):
+                    raise InputError(f"checkpoint {path}: {name} must have {len(array)} entries for this scene")
+            self.state.load(dict(stored))
+        self.stepper.lists.rebuild()
+        self.stepper.geometry.update()
+        self._snapshot.save(self.state)

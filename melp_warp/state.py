@@ -1,0 +1,136 @@
+"""State: exactly what a checkpoint stores. Everything else is rebuilt from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+import warp as wp
+
+GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area")
+
+
+def _array(dtype):
+    return field(metadata={"dtype": dtype})
+
+
+@dataclass
+class EulerianState:
+    """Eulerian particles; entries from `count` on are boundary particles of an open film.
+
+    Attributes:
+        x: [n] positions, m.
+        normal: [n] outward unit normals.
+        u: [n] material velocity, m/s.
+        drift: [count] tangential velocity of the particles themselves, m/s.
+        mass: [count] kg.
+        surfactant: [count] amount on one interface, mol.
+        count: number of E.
+    """
+
+    x: wp.array = _array(wp.vec3)
+    normal: wp.array = _array(wp.vec3)
+    u: wp.array = _array(wp.vec3)
+    drift: wp.array = _array(wp.vec3)
+    mass: wp.array = _array(wp.float32)
+    surfactant: wp.array = _array(wp.float32)
+    count: int = 0
+
+
+@dataclass
+class LagrangianState:
+    """Lagrangian particles.
+
+    Attributes:
+        x: [n_l] positions, m.
+        u: [n_l] carried velocity, m/s.
+        v: [n_l] velocity at the particle, m/s.
+        affine: [n_l] velocity gradient, 1/s.
+        normal: [n_l] unit normals.
+        mass: [n_l] kg.
+        surfactant: [n_l] amount on one interface, mol.
+        eta: [n_l] thickness, m.
+        count: number of L.
+    """
+
+    x: wp.array = _array(wp.vec3)
+    u: wp.array = _array(wp.vec3)
+    v: wp.array = _array(wp.vec3)
+    affine: wp.array = _array(wp.mat33)
+    normal: wp.array = _array(wp.vec3)
+    mass: wp.array = _array(wp.float32)
+    surfactant: wp.array = _array(wp.float32)
+    eta: wp.array = _array(wp.float32)
+    count: int = 0
+
+
+def _arrays(block) -> dict[str, wp.array]:
+    return {f.name: getattr(block, f.name) for f in fields(block) if "dtype" in f.metadata}
+
+
+def allocate(kind, sizes: dict[str, int], default: int, device, **counts):
+    """Make a zeroed state block; `sizes` overrides the length of single arrays."""
+    made = {
+        f.name: wp.zeros(sizes.get(f.name, default), dtype=f.metadata["dtype"], device=device)
+        for f in fields(kind)
+        if "dtype" in f.metadata
+    }
+    return kind(**made, **counts)
+
+
+@dataclass
+class State:
+    """The state of a film.
+
+    Attributes:
+        e: Eulerian particles.
+        l: Lagrangian particles, or None.
+        gas: [5] float64: volume (m^3), gauge pressure (Pa), amount n0 R T (J), last pressure increment (Pa), area (m^2).
+        time: s.
+        frame: index of the last finished frame.
+    """
+
+    e: EulerianState
+    l: LagrangianState | None  # noqa: E741
+    gas: wp.array
+    time: float = 0.0
+    frame: int = 0
+
+    def arrays(self) -> dict[str, wp.array]:
+        """All arrays by name, in a fixed order."""
+        named = {f"e.{k}": a for k, a in _arrays(self.e).items()}
+        if self.l is not None:
+            named |= {f"l.{k}": a for k, a in _arrays(self.l).items()}
+        return named | {"gas": self.gas}
+
+    def numpy(self) -> dict[str, np.ndarray]:
+        """All arrays and scalars as NumPy copies, as a checkpoint stores them."""
+        stored = {name: a.numpy().copy() for name, a in self.arrays().items()}
+        return stored | {"time": np.array(self.time), "frame": np.array(self.frame)}
+
+    def load(self, stored: dict[str, np.ndarray]) -> None:
+        """Take the values of `numpy()` back, in place."""
+        for name, array in self.arrays().items():
+            array.assign(stored[name])
+        self.time = float(stored["time"])
+        self.frame = int(stored["frame"])
+
+
+class Snapshot:
+    """A copy of a state on its own device, made once and overwritten at each good frame."""
+
+    def __init__(self, state: State):
+        self._copies = {name: wp.clone(a) for name, a in state.arrays().items()}
+        self._scalars = (state.time, state.frame)
+
+    def save(self, state: State) -> None:
+        """Copy the state here."""
+        for name, array in state.arrays().items():
+            wp.copy(self._copies[name], array)
+        self._scalars = (state.time, state.frame)
+
+    def restore(self, state: State) -> None:
+        """Copy the saved state back."""
+        for name, array in state.arrays().items():
+            wp.copy(array, self._copies[name])
+        state.time, state.frame = self._scalars

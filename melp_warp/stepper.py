@@ -1,0 +1,125 @@
+"""One time step, as a table of contents."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import warp as wp
+
+from melp_warp.advance import EulerianAdvance, LagrangianAdvance, Redistribution
+from melp_warp.errors import SimulationError
+from melp_warp.film import Film
+from melp_warp.geometry import Geometry
+from melp_warp.kernels import diagnostics as kd
+from melp_warp.kernels import transfer as kt
+from melp_warp.membrane import Membrane
+from melp_warp.neighbors import NeighborLists
+from melp_warp.state import State
+from melp_warp.surfactant import Fields, Tangential
+from melp_warp.transfer import Transfer
+
+STAGES = ("neighbors", "l_to_e", "geometry", "membrane", "surfactant", "e_to_l", "advance_e", "advance_l")
+
+
+class Stepper:
+    """Holds the stages that a film's features ask for and runs them in order.
+
+    Attributes:
+        wall: seconds spent in each stage since the last reset (launch time only on a GPU).
+    """
+
+    def __init__(self, film: Film, state: State):
+        self.film, self.state = film, state
+        f = film.features
+        self.lists = NeighborLists(film, state)
+        self.geometry = Geometry(film, state, self.lists)
+        self.fields = Fields(film, state, self.geometry)
+        self.transfer = Transfer(film, state, self.lists, self.geometry) if f.lagrangian else None
+        self.tangential = (
+            Tangential(film, state, self.lists, self.geometry, self.fields, self.transfer) if f.lagrangian else None
+        )
+        self.membrane = Membrane(film, state, self.lists, self.geometry, self.fields) if f.moving else None
+        self.e_advance = EulerianAdvance(film, state, self.lists, self.geometry) if f.moving else None
+        shifted = f.moving and film.numerics.redistribution > 0.0
+        self.redistribution = Redistribution(film, state, self.lists, self.geometry) if shifted else None
+        self.l_advance = LagrangianAdvance(film, state, self.lists, self.geometry) if f.lagrangian else None
+        self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
+        self.frame = self.e_advance.frame if f.moving else film.zeros(1, wp.vec3)
+        self.wall = dict.fromkeys(STAGES, 0.0)
+        self.steps = 0
+        self.geometry.update()
+
+    def step(self, dt: float) -> None:
+        """Advance the film by dt (s)."""
+        f, e = self.film.features, self.state.e
+        with self._stage("neighbors"):
+            self.lists.update_l()
+        with self._stage("l_to_e"):
+            if f.lagrangian:
+                self.transfer.l_to_e()  # (6), (7)
+            else:
+                self.film.launch_e(kt.keep_normal_e, [e.normal], [e.u])
+            self.fields.update()
+        if f.moving:
+            with self._stage("membrane"):
+                self.membrane.solve(dt)  # (12), gas
+        if f.lagrangian:
+            with self._stage("surfactant"):
+                self.tangential.solve(dt)  # (14), (15)
+            with self._stage("e_to_l"):
+                self.transfer.e_to_l(self.tangential.dilation, dt)  # (16)-(18), (8)
+                v = self.l_advance.find_velocity(e.x, dt)
+        if f.moving:
+            with self._stage("advance_e"):
+                self.e_advance.advance(self.membrane.u_mid, dt)  # (19)
+                if self.redistribution is not None:
+                    self.redistribution.apply(dt)  # (20)
+                self.lists.record_e(self.e_advance.x_old, self.frame, dt)
+            with self._stage("geometry"):
+                self.lists.update_e()
+                self.geometry.update()  # (9), (10), (11)
+        if f.lagrangian:
+            with self._stage("advance_l"):
+                self.l_advance.advance(v, dt)  # Algorithm 7
+                self.lists.record_l(self.frame, dt)
+        self.state.time += dt
+        self.steps += 1
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[None]:
+        began = time.perf_counter()
+        yield
+        self._guard(name)
+        self.wall[name] += time.perf_counter() - began
+
+    def _guard(self, name: str) -> None:
+        """Note on the device the first stage that leaves a number that is not finite."""
+        number = STAGES.index(name) + 1
+        e, lagrangian = self.state.e, self.state.l
+        if name in ("e_to_l", "advance_l"):
+            self.film.launch_l(kd.find_broken, [lagrangian.x, lagrangian.v, number], [self.broken])
+        elif name != "neighbors":
+            self.film.launch_e(kd.find_broken, [e.x, e.u, number], [self.broken])
+
+    def check(self) -> None:
+        """Raise if a stage left a number that is not finite, a list overflowed or the gas collapsed (reads back).
+
+        Raises:
+            SimulationError: names the stage and the particle.
+        """
+        stage, particle = (int(v) for v in self.broken.numpy())
+        if stage:
+            name = STAGES[stage - 1]
+            kind = "L" if name in ("e_to_l", "advance_l") else "E"
+            raise SimulationError(f"stage {name}: {kind} particle {particle} is not finite")
+        if self.film.features.closed:
+            volume = float(self.state.gas.numpy()[0])
+            if not volume > 0.0:
+                raise SimulationError(f"stage membrane: the enclosed volume is {volume:.3g} m^3, region 0")
+        self.lists.check()
+
+    def reset_guard(self) -> None:
+        """Forget a failure, after the state has been restored."""
+        self.broken.assign([0, 2**31 - 1])

@@ -1,0 +1,137 @@
+"""Stage 3 on the host, tangential: surfactant equation (14), Marangoni force (15), viscosity and drag."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from melp_warp.film import Film
+from melp_warp.geometry import Geometry
+from melp_warp.kernels import surfactant as ks
+from melp_warp.linear import ConjugateGradient, LinearOperator
+from melp_warp.neighbors import NeighborLists
+from melp_warp.state import State
+from melp_warp.transfer import Transfer
+
+JACOBI_OMEGA = 0.2
+
+
+class Fields:
+    """Thickness and relative surfactant concentration of E.
+
+    Attributes:
+        eta: [n_e] m.
+        gamma: [n_e] Gamma/Gamma_0.
+    """
+
+    def __init__(self, film: Film, state: State, geometry: Geometry):
+        self.film, self.state, self.geometry = film, state, geometry
+        self.eta, self.gamma = film.zeros(film.n_e), film.zeros(film.n_e)
+
+    def update(self) -> None:
+        """eta_E = V_E/a_E and Gamma_E = c_E/a_E."""
+        film, e, m = self.film, self.state.e, self.film.material
+        film.launch_e(
+            ks.film_fields_e,
+            [e.mass, e.surfactant, self.geometry.area, m.density, m.surfactant],
+            [self.eta, self.gamma],
+        )
+
+
+class Tangential:
+    """Tangential dynamics. Made only for films with L.
+
+    Attributes:
+        dilation: [n_e] div_s u, 1/s: before the solve, then after it.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields,
+                 transfer: Transfer):
+        self.film, self.state, self.lists = film, state, lists
+        self.geometry, self.fields, self.transfer = geometry, fields, transfer
+        self.dilation = film.zeros(film.n_e)
+        numerics = film.numerics
+        operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
+        self.solver = None
+        if film.features.marangoni:
+            jacobi = JACOBI_OMEGA if numerics.solver == "jacobi" else None
+            self.solver = ConjugateGradient(
+                operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations, jacobi
+            )
+        self.viscous = None
+        if film.features.viscous:
+            self.viscous = ConjugateGradient(
+                operator, film.total, wp.vec3, numerics.tolerance, numerics.max_iterations
+            )
+
+    def solve(self, dt: float) -> None:
+        """Advance the tangential velocity of E by dt: viscosity, then (14) and (15)."""
+        if self.viscous is not None:
+            self._diffuse(dt)
+        self.transfer.mirror_rim()
+        self._dilate()
+        if self.solver is not None:
+            self._solve_surfactant(dt)
+        self._accelerate(dt)
+        self.transfer.mirror_rim()
+        self._dilate()
+
+    def _dilate(self) -> None:
+        self.film.launch_e(
+            ks.dilation_e, [self.state.e.u, self.lists.ee.rows, self.geometry.gradient], [self.dilation]
+        )
+
+    def _solve_surfactant(self, dt: float) -> None:
+        film, fields, solver = self.film, self.fields, self.solver
+        film.launch_e(
+            ks.assemble_surfactant_e,
+            [
+                self.state.e.x,
+                self.geometry.area,
+                fields.eta,
+                fields.gamma,
+                self.dilation,
+                self.geometry.weight,
+                self.lists.ee.rows,
+                film.n_e,
+                film.stiffness,
+                film.gravity,
+                dt,
+            ],
+            [solver.operator.diag, solver.operator.pair, solver.b, solver.x],
+        )
+        solver.solve()
+
+    def _accelerate(self, dt: float) -> None:
+        film, fields = self.film, self.fields
+        gamma = fields.gamma if self.solver is None else self.solver.x
+        film.launch_e(
+            ks.accelerate_tangential_e,
+            [
+                self.state.e.x,
+                self.state.e.normal,
+                fields.eta,
+                gamma,
+                self.lists.ee.rows,
+                self.geometry.inner_gradient,
+                film.n_e,
+                film.stiffness,
+                film.gravity,
+                film.surroundings.drag,
+                film.material.density,
+                dt,
+            ],
+            [self.state.e.u],
+        )
+
+    def _diffuse(self, dt: float) -> None:
+        film, e, solver = self.film, self.state.e, self.viscous
+        film.launch_e(
+            ks.assemble_viscosity_e,
+            [
+                e.mass, self.geometry.area, e.normal, self.geometry.weight, self.lists.ee.rows,
+                film.n_e, film.material.viscosity, e.u, dt,
+            ],
+            [solver.operator.diag, solver.operator.pair, solver.b, solver.x],
+        )
+        solver.solve()
+        film.launch_e(ks.replace_tangential_e, [solver.x, e.normal], [e.u])

@@ -1,0 +1,100 @@
+"""Stages 1 and 4 on the host: L to E and E to L."""
+
+from __future__ import annotations
+
+import math
+
+import warp as wp
+
+from melp_warp.film import Film
+from melp_warp.geometry import Geometry
+from melp_warp.kernels import boundary as kb
+from melp_warp.kernels import transfer as kt
+from melp_warp.launch import launch
+from melp_warp.neighbors import NeighborLists
+from melp_warp.state import State
+
+
+class Transfer:
+    """APIC transfer. Made only for films with L.
+
+    Attributes:
+        claim: [n_e] area that the L take up at their thickness, m^2.
+        lost: [n_l] 1 where no E is near.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        self.alpha = film.zeros(film.n_l)
+        self.offset = film.zeros(film.n_l, wp.vec3)
+        self.lost = film.zeros(film.n_l, wp.int32)
+        self.claim = film.zeros(film.n_e)
+        self.momentum = film.zeros(film.n_e, wp.vec3)
+
+    def l_to_e(self) -> None:
+        """Mass, surfactant, claimed area and tangential velocity of E from L, (6) and (7)."""
+        e = self.state.e
+        self.gather()
+        self.film.launch_e(kt.split_velocity_e, [e.mass, self.momentum, e.normal], [e.u])
+
+    def gather(self) -> None:
+        """The sums of (6) and (7) alone."""
+        film, e, lag = self.film, self.state.e, self.state.l
+        film.launch_l(
+            kt.normalize_l,
+            [lag.x, e.x, self.lists.le.rows, film.r, film.n_e],
+            [self.alpha, self.offset, self.lost],
+        )
+        film.launch_e(
+            kt.gather_l_to_e,
+            [
+                e.x,
+                e.normal,
+                self.lists.el.rows,
+                film.r,
+                film.material.density,
+                lag.x,
+                lag.u,
+                lag.affine,
+                lag.mass,
+                lag.surfactant,
+                lag.eta,
+                self.alpha,
+                self.offset,
+            ],
+            [e.mass, e.surfactant, self.claim, self.momentum],
+        )
+
+    def mirror_rim(self) -> None:
+        """Give boundary particles the mirrored velocity of the film inside."""
+        film, rim = self.film, self.film.rim
+        if rim is None:
+            return
+        launch(
+            kb.mirror_velocity_b,
+            film.n_b,
+            [rim.mirror, rim.outward, self.state.e.x, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
+            [self.state.e.u],
+            film.device,
+        )
+
+    def e_to_l(self, dilation: wp.array, dt: float) -> None:
+        """Velocity, affine state and thickness of L from E, (16)-(18) and (8)."""
+        film, e, lag = self.film, self.state.e, self.state.l
+        rate = -math.expm1(-dt / film.numerics.thickness_time)
+        film.launch_l(
+            kt.evolve_thickness_l,
+            [lag.x, e.x, dilation, self.claim, self.geometry.area, self.lists.le.rows, film.r, film.n_e, dt, rate],
+            [lag.eta],
+        )
+        self.velocity_to_l()
+
+    def velocity_to_l(self) -> None:
+        """Velocity and affine state of L from E, (16)-(18)."""
+        film, e, lag = self.film, self.state.e, self.state.l
+        self.mirror_rim()
+        film.launch_l(
+            kt.gather_e_to_l,
+            [lag.x, e.x, e.u, e.normal, self.lists.le.rows, film.r],
+            [lag.u, lag.affine, lag.v, lag.normal],
+        )
