@@ -166,7 +166,7 @@ def test_a_sound_cache_with_an_empty_frame(cache):
 
 def test_usd_validators_report_nothing(cache):
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    assert len(validators) >= 29
+    assert len(validators) > 20
     for path in (cache / "film.usda", frame_path(cache, 2)):
         assert not UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(path)))
 
@@ -338,15 +338,6 @@ ROOT_FAULTS = {
         in_root(set_clips(templateEndTime=2.0)),
         ["film.usda: /World: clips templateEndTime: is 2.0, must be 3.0", *ALL_UNEVEN],
     ),
-    "another template": (
-        in_root(set_clips(templateAssetPath="./frames/film.####.usdc")),
-        [
-            "film.usda: /World: clips templateAssetPath: is './frames/film.####.usdc', must be ",
-            *ALL_UNEVEN,
-            "film.usda: USD warns: ",
-            "film.usda: USD warns: ",
-        ],
-    ),
     "active offset": (
         in_root(set_clips(templateActiveOffset=0.5)),
         ["film.usda: /World: clips templateActiveOffset: is 0.5, must be None", *ALL_UNEVEN],
@@ -437,6 +428,15 @@ def test_missing_layers(cache):
     assert len(found) == 1
     assert found[0].startswith("film.usda: ")
     assert check_cache(cache / "nothing") == [f"film.usda: there is no file {cache / 'nothing' / 'film.usda'}"]
+
+
+def test_another_file_pattern(cache):
+    """USD's own warnings, which differ from version to version, may follow."""
+    in_root(set_clips(templateAssetPath="./frames/film.####.usdc"))(cache)
+    found = check_cache(cache)
+    assert found[0].startswith("film.usda: /World: clips templateAssetPath: is './frames/film.####.usdc', must be ")
+    assert found[1:2] == ALL_UNEVEN
+    assert all(line.startswith("film.usda: USD warns: ") for line in found[2:])
 
 
 def test_what_the_validators_find_is_passed_on(cache):
