@@ -58,8 +58,14 @@ def summarize_chunks(
 
 
 @wp.kernel
-def energy_chunks(area: wp.array(dtype=float), gamma: wp.array(dtype=float), tension: float, slope: float, n: int,
-                  part: wp.array(dtype=wp.float64)):
+def energy_chunks(
+    area: wp.array(dtype=float),
+    gamma: wp.array(dtype=float),
+    tension: float,
+    slope: float,
+    n: int,
+    part: wp.array(dtype=wp.float64),
+):
     """Parts of the surface energy 2 sigma a. J."""
     c = wp.tid()
     size = (n + part.shape[0] - 1) // part.shape[0]

@@ -86,7 +86,7 @@ def start_residual(
     z: wp.array(dtype=Any),
     p: wp.array(dtype=Any),
 ):
-    """r = b - A x, z = r/A_ii, p = z."""
+    """R = b - A x, z = r/A_ii, p = z."""
     i = wp.tid()
     ri = b[i] - apply_row(i, x, diag, pair, scale[0], rows)
     r[i] = ri
@@ -105,7 +105,7 @@ def apply_operator(
     # outputs
     y: wp.array(dtype=Any),
 ):
-    """y = A x. [n]."""
+    """Y = A x. [n]."""
     i = wp.tid()
     y[i] = apply_row(i, x, diag, pair, scale[0], rows)
 
@@ -166,7 +166,7 @@ def start_scalars(
 
 @wp.kernel
 def set_alpha(pq: wp.array(dtype=float), scalar: wp.array(dtype=float)):
-    """alpha = (r, z)/(p, A p)."""
+    """Alpha = (r, z)/(p, A p)."""
     value = total_of(pq)
     scalar[ALPHA_OLD] = scalar[ALPHA]
     scalar[ALPHA] = wp.where(value > 0.0, scalar[RZ] / value, 0.0)
@@ -181,7 +181,7 @@ def set_beta(
     scalar: wp.array(dtype=float),
     go: wp.array(dtype=int),
 ):
-    """beta = (r, z)_new/(r, z)_old and the decision to go on at slack times the limit. control = (tolerance, iterations)."""
+    """Beta = (r, z)_new/(r, z)_old and the decision to go on at slack times the limit. control = (tolerance, iterations)."""
     value = total_of(rz)
     scalar[BETA] = wp.where(scalar[RZ] > 0.0, value / scalar[RZ], 0.0)
     scalar[RZ] = value
@@ -201,7 +201,7 @@ def advance_solution(
     r: wp.array(dtype=Any),
     z: wp.array(dtype=Any),
 ):
-    """x += alpha p, r -= alpha A p, z = r/A_ii."""
+    """X += alpha p, r -= alpha A p, z = r/A_ii."""
     i = wp.tid()
     alpha = scalar[ALPHA]
     x[i] = x[i] + alpha * p[i]
@@ -212,7 +212,7 @@ def advance_solution(
 
 @wp.kernel
 def advance_direction(scalar: wp.array(dtype=float), z: wp.array(dtype=Any), p: wp.array(dtype=Any)):
-    """p = z + beta p."""
+    """P = z + beta p."""
     i = wp.tid()
     p[i] = z[i] + scalar[BETA] * p[i]
 
@@ -309,7 +309,7 @@ def apply_shifted(
     # outputs
     q: wp.array(dtype=float),
 ):
-    """q = (D + p_0) p with D = -area^-1/2 (a_i a_j K_ij Laplacian) area^-1/2, the negative surface Laplacian."""
+    """Q = (D + p_0) p with D = -area^-1/2 (a_i a_j K_ij Laplacian) area^-1/2, the negative surface Laplacian."""
     i = wp.tid()
     si = 1.0 / wp.sqrt(area[i])
     pi = p[i] * si
@@ -351,7 +351,7 @@ def advance_shifted(
     x: wp.array(dtype=float),
     r: wp.array(dtype=float),
 ):
-    """x += Re sum_k g_k alpha_k p_k, r -= alpha q."""
+    """X += Re sum_k g_k alpha_k p_k, r -= alpha q."""
     i = wp.tid()
     dr = real[i]
     di = imag[i]
@@ -408,6 +408,6 @@ def stop_shifted(
 
 @wp.kernel
 def unscale(x: wp.array(dtype=float), area: wp.array(dtype=float), y: wp.array(dtype=float)):
-    """y = x/sqrt(area). [n]."""
+    """Y = x/sqrt(area). [n]."""
     i = wp.tid()
     y[i] = x[i] / wp.sqrt(area[i])

@@ -25,7 +25,7 @@ def spread_chunks(density: wp.array(dtype=float), n: int, part: wp.array(dtype=w
 
 @wp.kernel
 def summarize_spread(part: wp.array(dtype=wp.vec4), threshold: float, spread: wp.array(dtype=float)):
-    """spread = [(delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold]."""
+    """Spread = [(delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold]."""
     low = float(1.0e30)
     high = float(0.0)
     s1 = float(0.0)

@@ -9,6 +9,7 @@ eye), thickness is in nanometres, colours are linear sRGB.
 """
 
 import warp as wp
+
 from melp_warp.kernels.color import film_color
 
 wp.set_module_options({"enable_backward": False})

@@ -43,22 +43,23 @@ class Geometry:
         film.launch_e(kg.orient_frames_e, [e.x, rows, film.r], [e.normal])
         film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.base, self.fit, self.gradient])
         if film.features.rim:
-            film.launch_e(
-                kg.fit_inner_gradient_e, [e.x, self.base, rows, film.r, film.n_e], [self.inner_gradient]
-            )
+            film.launch_e(kg.fit_inner_gradient_e, [e.x, self.base, rows, film.r, film.n_e], [self.inner_gradient])
         self.update_density()
         film.launch_e(kg.voronoi_area_e, [e.x, e.normal, rows, film.r], [self.cell])
         film.launch_e(kg.control_area_e, [e.x, self.cell, self._inner, rows, film.r, film.n_e], [self.area])
         film.launch_e(kg.pair_weights_e, [e.x, self.area, rows, film.r, film.n_e, film.spacing**2], [self.weight])
+        self.measure_volume()
+
+    def measure_volume(self) -> None:
+        """Enclosed volume (11) and area into the gas slots."""
+        film, e = self.film, self.state.e
         film.launch_parts(km.volume_chunks, [e.x, e.normal, self.area, film.n_e], [self._volume])
         film.launch_one(km.store_volume, [self._volume], [self.state.gas])
 
     def update_density(self) -> None:
         """Number density (9) at the present positions."""
         film, e = self.film, self.state.e
-        film.launch_e(
-            kg.density_e, [e.x, self.lists.ee.rows, film.r, film.n_e], [self.density, self._inner]
-        )
+        film.launch_e(kg.density_e, [e.x, self.lists.ee.rows, film.r, film.n_e], [self.density, self._inner])
 
     def curvature(self, x: wp.array) -> wp.array:
         """Curvature of the surface through the points x, by the operator the scene chose. [n_e], 1/m."""

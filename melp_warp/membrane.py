@@ -19,6 +19,10 @@ SWEEPS = 2
 """Corrections for an uneven film mass where the air takes part; each shrinks the error by |m - mean|/(m + A)."""
 
 
+OFFSET_LIMIT = 0.1
+"""Largest offset that mends the volume in one step, in spacings."""
+
+
 class _Pair:
     """Right-hand side and solution."""
 
@@ -160,8 +164,17 @@ class Membrane:
         weight = wp.vec3(*[c * (1.0 - film.surroundings.lift) for c in film.surroundings.gravity])
         film.launch_e(
             km.film_force_e,
-            [kappa, self.fields.gamma, e.normal, e.mass, self.geometry.area, self.state.gas, m.tension, film.slope,
-             weight],
+            [
+                kappa,
+                self.fields.gamma,
+                e.normal,
+                e.mass,
+                self.geometry.area,
+                self.state.gas,
+                m.tension,
+                film.slope,
+                weight,
+            ],
             [self.force, self.external],
         )
         common = [self.force, self.external, e.normal, e.mass, self.geometry.area]
@@ -171,9 +184,7 @@ class Membrane:
                 [*common, self.added, film.n_e],
                 [self.moment, self.inertia, self.net, self.net_external],
             )
-            film.launch_one(
-                km.rigid_motion, [self.moment, self.inertia, self.net, self.net_external], [self.rigid]
-            )
+            film.launch_one(km.rigid_motion, [self.moment, self.inertia, self.net, self.net_external], [self.rigid])
         film.launch_e(
             km.load_membrane_e,
             [*common, self.rigid, self.added, dt],
@@ -202,8 +213,28 @@ class Membrane:
         film, e = self.film, self.state.e
         film.launch_parts(
             km.swept_chunks,
-            [e.u, e.normal, self.geometry.area, self.geometry.kappa, change, unit, self.rigid, self.theta, dt,
-             film.n_e],
+            [
+                e.u,
+                e.normal,
+                self.geometry.area,
+                self.geometry.kappa,
+                change,
+                unit,
+                self.rigid,
+                self.theta,
+                dt,
+                film.n_e,
+            ],
             [self.swept],
         )
         film.launch_one(km.close_gas, [self.swept, film.surroundings.pressure], [self.state.gas])
+
+    def close_volume(self) -> None:
+        """After the move: offset E so that volume and pressure obey the gas law, and note the volume."""
+        film, state = self.film, self.state
+        film.launch_e(
+            km.close_volume_e,
+            [state.e.normal, state.gas, film.surroundings.pressure, OFFSET_LIMIT * film.spacing],
+            [state.e.x],
+        )
+        self.geometry.measure_volume()

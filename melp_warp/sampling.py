@@ -71,7 +71,10 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int
         points = np.concatenate([points, rim.points])
         normals = np.concatenate([normals, rim.normals])
         arrays = RimArrays(
-            *(wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in (rim.anchors, rim.outward, rim.mirror))
+            *(
+                wp.array(a.astype(np.float32), dtype=wp.vec3, device=device)
+                for a in (rim.anchors, rim.outward, rim.mirror)
+            )
         )
     short = dict.fromkeys(("drift", "mass", "surfactant"), n_e)
     state = allocate(EulerianState, short, n_e + n_b, device, count=n_e)
@@ -102,7 +105,10 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     """
     features = Features.of(scene)
     require(
-        features.moving or features.lagrangian, "l_per_e", scene.l_per_e, "at least 1 for a flat film, which has no normal motion"
+        features.moving or features.lagrangian,
+        "l_per_e",
+        scene.l_per_e,
+        "at least 1 for a flat film, which has no normal motion",
     )
     e, rim, n_b, spacing = _e_state(scene, device)
     lagrangian = _l_state(scene, e.count, device)
@@ -186,8 +192,18 @@ def _share_area(stepper: Stepper) -> None:
         transfer.gather()
         film.launch_l(
             kt.evolve_thickness_l,
-            [state.l.x, state.e.x, none, transfer.claim, stepper.geometry.area, stepper.lists.le.rows, film.r,
-             film.n_e, 0.0, 1.0],
+            [
+                state.l.x,
+                state.e.x,
+                none,
+                transfer.claim,
+                stepper.geometry.area,
+                stepper.lists.le.rows,
+                film.r,
+                film.n_e,
+                0.0,
+                1.0,
+            ],
             [state.l.eta],
         )
 

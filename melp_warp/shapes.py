@@ -193,12 +193,12 @@ def displaced_sphere(
     return StarShaped(radius, lambda d: scale * (1.0 + displacement(d)) - 1.0, center)
 
 
-def Sphere(radius: float, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> StarShaped:  # noqa: N802
+def Sphere(radius: float, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> StarShaped:
     """A sphere."""
     return StarShaped(radius, None, center)
 
 
-def Ellipsoid(a: float, b: float, c: float) -> StarShaped:  # noqa: N802
+def Ellipsoid(a: float, b: float, c: float) -> StarShaped:
     """An ellipsoid with semi-axes a, b, c along x, y, z (m)."""
     for name, value in (("a", a), ("b", b), ("c", c)):
         require(np.isfinite(value) and value > 0.0, name, value, "a number above 0")

@@ -80,6 +80,8 @@ class Stepper:
             with self._stage("geometry"):
                 self.lists.update_e()
                 self.geometry.update()  # (9), (10), (11)
+                if f.closed:
+                    self.membrane.close_volume()
         if f.lagrangian:
             with self._stage("advance_l"):
                 self.l_advance.advance(v, dt)  # Algorithm 7

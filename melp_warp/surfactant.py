@@ -44,8 +44,9 @@ class Tangential:
         dilation: [n_e] div_s u, 1/s: before the solve, then after it.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields,
-                 transfer: Transfer):
+    def __init__(
+        self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields, transfer: Transfer
+    ):
         self.film, self.state, self.lists = film, state, lists
         self.geometry, self.fields, self.transfer = geometry, fields, transfer
         self.dilation = film.zeros(film.n_e)
@@ -59,9 +60,7 @@ class Tangential:
             )
         self.viscous = None
         if film.features.viscous:
-            self.viscous = ConjugateGradient(
-                operator, film.total, wp.vec3, numerics.tolerance, numerics.max_iterations
-            )
+            self.viscous = ConjugateGradient(operator, film.total, wp.vec3, numerics.tolerance, numerics.max_iterations)
 
     def solve(self, dt: float) -> None:
         """Advance the tangential velocity of E by dt: viscosity, then (14) and (15)."""
@@ -76,9 +75,7 @@ class Tangential:
         self._dilate()
 
     def _dilate(self) -> None:
-        self.film.launch_e(
-            ks.dilation_e, [self.state.e.u, self.lists.ee.rows, self.geometry.gradient], [self.dilation]
-        )
+        self.film.launch_e(ks.dilation_e, [self.state.e.u, self.lists.ee.rows, self.geometry.gradient], [self.dilation])
 
     def _solve_surfactant(self, dt: float) -> None:
         film, fields, solver = self.film, self.fields, self.solver
@@ -128,8 +125,15 @@ class Tangential:
         film.launch_e(
             ks.assemble_viscosity_e,
             [
-                e.mass, self.geometry.area, e.normal, self.geometry.weight, self.lists.ee.rows,
-                film.n_e, film.material.viscosity, e.u, dt,
+                e.mass,
+                self.geometry.area,
+                e.normal,
+                self.geometry.weight,
+                self.lists.ee.rows,
+                film.n_e,
+                film.material.viscosity,
+                e.u,
+                dt,
             ],
             [solver.operator.diag, solver.operator.pair, solver.b, solver.x],
         )

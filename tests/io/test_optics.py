@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 import warp as wp
-from melp_warp.kernels.color import film_color
 
 from melp_warp.errors import InputError
+from melp_warp.kernels.color import film_color
 from melp_warp.optics import (
     DISPLAY_MAX_THICKNESS,
     clip_to_gamut,
