@@ -51,7 +51,7 @@ def orient_frames_e(
     mean = mean / total
     cov = second / total - wp.outer(mean, mean)
     vectors, values = wp.eig3(cov)
-    least = 0
+    least = int(0)
     for c in range(1, 3):
         if values[c] < values[least]:
             least = c
@@ -237,7 +237,7 @@ def density_e(
 def clip_cell(cell: mat2x16, count: int, u: float, v: float):
     """Cut a polygon by the perpendicular bisector of the origin and (u, v), keeping the origin's side."""
     kept = mat2x16()
-    n = 0
+    n = int(0)
     half = 0.5 * (u * u + v * v)
     px = cell[0, count - 1]
     py = cell[1, count - 1]
@@ -288,7 +288,7 @@ def voronoi_area_e(
     cell[1, 2] = half
     cell[0, 3] = -half
     cell[1, 3] = half
-    count = 4
+    count = int(4)
     reach = float(2.0) * half * half
     for k in range(rows.start[i], rows.start[i + 1]):
         d = x[rows.index[k]] - p

@@ -25,7 +25,7 @@ def count_neighbors(
 ):
     """Count the `source` points within `radius` of each x; `same` = 1 leaves a point out of its own row."""
     i = wp.tid()
-    n = 0
+    n = int(0)
     p = x[i]
     for j in wp.hash_grid_query(grid, p, radius):
         if wp.length_sq(source[j] - p) <= radius * radius and (same == 0 or j != i):

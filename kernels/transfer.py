@@ -259,6 +259,7 @@ def evolve_thickness_l(
     n_e: int,
     dt: float,
     rate: float,
+    slack: float,
     # outputs
     eta_l: wp.array(dtype=float),
 ):
@@ -278,6 +279,7 @@ def evolve_thickness_l(
         n_e: number of E.
         dt: s.
         rate: share of the mismatch mended in this step, 0 to 1.
+        slack: relative mismatch that is left alone: mending the noise of single E would sharpen it step by step.
         eta_l: [n_l] m.
     """
     i = wp.tid()
@@ -290,6 +292,8 @@ def evolve_thickness_l(
             w = kernel_w(wp.length(x_e[j] - p), r)
             if w > 0.0 and claim[j] > 0.0:
                 total += w
-                growth += w * (rate * wp.log(claim[j] / area[j]) - dt * dilation[j])
+                mismatch = wp.log(claim[j] / area[j])
+                mismatch -= wp.clamp(mismatch, -slack, slack)
+                growth += w * (rate * mismatch - dt * dilation[j])
     if total > 0.0:
         eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))

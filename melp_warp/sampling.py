@@ -203,6 +203,7 @@ def _share_area(stepper: Stepper) -> None:
                 film.n_e,
                 0.0,
                 1.0,
+                0.0,
             ],
             [state.l.eta],
         )

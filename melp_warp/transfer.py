@@ -14,6 +14,9 @@ from melp_warp.launch import launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
+THICKNESS_SLACK = 0.02
+"""Relative difference between eta_L and eta_E that is left alone."""
+
 
 class Transfer:
     """APIC transfer. Made only for films with L.
@@ -84,7 +87,7 @@ class Transfer:
         rate = -math.expm1(-dt / film.numerics.thickness_time)
         film.launch_l(
             kt.evolve_thickness_l,
-            [lag.x, e.x, dilation, self.claim, self.geometry.area, self.lists.le.rows, film.r, film.n_e, dt, rate],
+            [lag.x, e.x, dilation, self.claim, self.geometry.area, self.lists.le.rows, film.r, film.n_e, dt, rate, THICKNESS_SLACK],
             [lag.eta],
         )
         self.velocity_to_l()
