@@ -64,6 +64,37 @@ def clamp_rows(capacity: int, start: wp.array(dtype=wp.int32)):
 
 
 @wp.kernel
+def count_columns(rows: Neighbors, limit: int, count: wp.array(dtype=wp.int32)):
+    """Count how often each index below `limit` occurs in the rows."""
+    i = wp.tid()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        if j < limit:
+            wp.atomic_add(count, j, 1)
+
+
+@wp.kernel
+def transpose_rows(
+    rows: Neighbors,
+    limit: int,
+    # outputs
+    cursor: wp.array(dtype=wp.int32),
+    columns: Neighbors,
+    overflow: wp.array(dtype=wp.int32),
+):
+    """Write the transposed list; `cursor` starts as a copy of its row starts."""
+    i = wp.tid()
+    for k in range(rows.start[i], rows.start[i + 1]):
+        j = rows.index[k]
+        if j < limit:
+            place = wp.atomic_add(cursor, j, 1)
+            if place < columns.index.shape[0]:
+                columns.index[place] = i
+            else:
+                wp.atomic_max(overflow, 0, place + 1)
+
+
+@wp.kernel
 def reset_travel(which: int, travel: wp.array(dtype=float)):
     """Forget the distance moved before list `which` was built."""
     travel[which] = 0.0

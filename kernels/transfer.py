@@ -16,11 +16,12 @@ def normalize_l(
     r: float,
     n_e: int,
     # outputs
+    weight: wp.array(dtype=float),
     alpha: wp.array(dtype=float),
     offset: wp.array(dtype=wp.vec3),
     lost: wp.array(dtype=int),
 ):
-    """alpha_L = sum_E W(E, L) of (6) over E alone, and the offset of the weighted mean of the E from L.
+    """W(E, L) of every pair, alpha_L = sum_E W of (6) over E alone, and the offset of the weighted mean of the E.
 
     Args:
         x_l: [n_l] m.
@@ -28,6 +29,7 @@ def normalize_l(
         rows: L:E neighbours.
         r: support radius, m.
         n_e: number of E; boundary particles beyond take no part, so that the transfer conserves.
+        weight: [pairs] 1/m^2, boundary particles included.
         alpha: [n_l] 1/m^2.
         offset: [n_l] sum_E W^ x_E - x_L, m.
         lost: [n_l] 1 for an L that no E is near to.
@@ -38,9 +40,10 @@ def normalize_l(
     mean = wp.vec3()
     for k in range(rows.start[i], rows.start[i + 1]):
         j = rows.index[k]
+        d = x_e[j] - p
+        w = kernel_w(wp.length(d), r)
+        weight[k] = w
         if j < n_e:
-            d = x_e[j] - p
-            w = kernel_w(wp.length(d), r)
             total += w
             mean += w * d
     if total > 0.0:
@@ -151,49 +154,61 @@ def gather_e_to_l(
     x_e: wp.array(dtype=wp.vec3),
     u_e: wp.array(dtype=wp.vec3),
     normal_e: wp.array(dtype=wp.vec3),
+    growth_e: wp.array(dtype=float),
+    weight: wp.array(dtype=float),
     rows: Neighbors,
-    r: float,
+    n_e: int,
     # outputs
     u_l: wp.array(dtype=wp.vec3),
     affine_l: wp.array(dtype=wp.mat33),
     v_l: wp.array(dtype=wp.vec3),
     normal_l: wp.array(dtype=wp.vec3),
+    eta_l: wp.array(dtype=float),
 ):
-    """Velocity (16), affine state (17) and inertia (18) of each L, boundary particles taking part.
+    """Velocity (16), affine state (17), inertia (18) and thickness (8) of each L.
 
     Args:
         x_l: [n_l] m.
         x_e: [n] m.
-        u_e: [n] m/s.
+        u_e: [n] m/s; boundary particles take part in the velocity.
         normal_e: [n] unit normals.
+        growth_e: [n_e] relative change of the thickness in this step, see `thickness_growth_e`.
+        weight: [pairs] W(E, L), 1/m^2.
         rows: L:E neighbours.
-        r: support radius, m.
+        n_e: number of E.
         u_l: [n_l] carried velocity sum W^ u_E, m/s.
         affine_l: [n_l] B D^-1 with differences of position in the tangent plane, 1/s.
         v_l: [n_l] velocity at the particle itself, m/s.
         normal_l: [n_l] unit normals.
+        eta_l: [n_l] m.
     """
     i = wp.tid()
     p = x_l[i]
     total = float(0.0)
+    inner = float(0.0)
+    growth = float(0.0)
     first = wp.vec3()
     second = wp.mat33()
     velocity = wp.vec3()
     moment = wp.mat33()
     n = wp.vec3()
     for k in range(rows.start[i], rows.start[i + 1]):
-        j = rows.index[k]
-        d = x_e[j] - p
-        w = kernel_w(wp.length(d), r)
+        w = weight[k]
         if w > 0.0:
-            u = u_e[j]
+            j = rows.index[k]
+            d = x_e[j] - p
+            wu = w * u_e[j]
+            wd = w * d
             total += w
-            first += w * d
-            second += w * wp.outer(d, d)
-            velocity += w * u
-            moment += w * wp.outer(u, d)
+            first += wd
+            second += wp.outer(wd, d)
+            velocity += wu
+            moment += wp.outer(wu, d)
             n += w * normal_e[j]
-    if total > 0.0:
+            if j < n_e:
+                inner += w
+                growth += w * growth_e[j]
+    if inner > 0.0:
         n = wp.normalize(n)
         first = first / total
         velocity = velocity / total
@@ -213,6 +228,40 @@ def gather_e_to_l(
         affine_l[i] = affine
         v_l[i] = velocity - affine * first
         normal_l[i] = n
+        eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / inner, -1.0, 1.0))
+
+
+@wp.kernel
+def thickness_growth_e(
+    dilation: wp.array(dtype=float),
+    claim: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    dt: float,
+    rate: float,
+    slack: float,
+    # outputs
+    growth: wp.array(dtype=float),
+):
+    """Relative growth of the thickness of the L around each E: (8), kept in step with eta_E.
+
+    eta falls as the film dilates, and where the L at their thickness claim more area than the E control
+    (claim/area > 1) it is raised at `rate`: detail between L is carried, their mean cannot drift.
+
+    Args:
+        dilation: [n_e] div_s u, 1/s.
+        claim: [n_e] claimed area, m^2.
+        area: [n_e] control area, m^2.
+        dt: s.
+        rate: share of the mismatch mended in this step, 0 to 1.
+        slack: relative mismatch that is left alone: mending the noise of single E would sharpen it step by step.
+        growth: [n_e].
+    """
+    i = wp.tid()
+    mismatch = float(0.0)
+    if claim[i] > 0.0:
+        mismatch = wp.log(claim[i] / area[i])
+        mismatch -= wp.clamp(mismatch, -slack, slack)
+    growth[i] = rate * mismatch - dt * dilation[i]
 
 
 @wp.kernel
@@ -245,55 +294,3 @@ def interpolate_velocity_l(
     if total > 0.0:
         v = (velocity - affine_l[i] * first) / total
     v_mid[i] = v
-
-
-@wp.kernel
-def evolve_thickness_l(
-    x_l: wp.array(dtype=wp.vec3),
-    x_e: wp.array(dtype=wp.vec3),
-    dilation: wp.array(dtype=float),
-    claim: wp.array(dtype=float),
-    area: wp.array(dtype=float),
-    rows: Neighbors,
-    r: float,
-    n_e: int,
-    dt: float,
-    rate: float,
-    slack: float,
-    # outputs
-    eta_l: wp.array(dtype=float),
-):
-    """Thickness of L, (8), kept in step with that of E.
-
-    eta falls as the film dilates, and where the L at their thickness claim more area than the E control
-    (claim/area > 1) it is raised at `rate`: detail between L is carried, their mean cannot drift.
-
-    Args:
-        x_l: [n_l] m.
-        x_e: [n] m.
-        dilation: [n_e] div_s u, 1/s.
-        claim: [n_e] claimed area, m^2.
-        area: [n_e] control area, m^2.
-        rows: L:E neighbours.
-        r: support radius, m.
-        n_e: number of E.
-        dt: s.
-        rate: share of the mismatch mended in this step, 0 to 1.
-        slack: relative mismatch that is left alone: mending the noise of single E would sharpen it step by step.
-        eta_l: [n_l] m.
-    """
-    i = wp.tid()
-    p = x_l[i]
-    total = float(0.0)
-    growth = float(0.0)
-    for k in range(rows.start[i], rows.start[i + 1]):
-        j = rows.index[k]
-        if j < n_e:
-            w = kernel_w(wp.length(x_e[j] - p), r)
-            if w > 0.0 and claim[j] > 0.0:
-                total += w
-                mismatch = wp.log(claim[j] / area[j])
-                mismatch -= wp.clamp(mismatch, -slack, slack)
-                growth += w * (rate * mismatch - dt * dilation[j])
-    if total > 0.0:
-        eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))

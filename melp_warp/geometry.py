@@ -47,8 +47,22 @@ class Geometry:
         self.update_density()
         film.launch_e(kg.voronoi_area_e, [e.x, e.normal, rows, film.r], [self.cell])
         film.launch_e(kg.control_area_e, [e.x, self.cell, self._inner, rows, film.r, film.n_e], [self.area])
-        film.launch_e(kg.pair_weights_e, [e.x, self.area, rows, film.r, film.n_e, film.spacing**2], [self.weight])
+        self._weigh_pairs()
         self.measure_volume()
+
+    def set_area(self, area: wp.array) -> None:
+        """Take control areas found otherwise, for a film whose E stay where they are."""
+        wp.copy(self.area, area)
+        self._weigh_pairs()
+        self.measure_volume()
+
+    def _weigh_pairs(self) -> None:
+        film = self.film
+        film.launch_e(
+            kg.pair_weights_e,
+            [self.state.e.x, self.area, self.lists.ee.rows, film.r, film.n_e, film.spacing**2],
+            [self.weight],
+        )
 
     def measure_volume(self) -> None:
         """Enclosed volume (11) and area into the gas slots."""

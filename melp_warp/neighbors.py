@@ -34,8 +34,11 @@ class NeighborList:
     def allocate(self, grid, x, source, radius) -> None:
         """Size the index array for the present particles with room to spare (reads back: at set-up only)."""
         self._count(grid, x, source, radius)
-        pairs = int(self.rows.start.numpy()[-1])
-        self.rows.index = wp.zeros(int(ROOM * pairs) + 64, dtype=wp.int32, device=self.device)
+        self.reserve(int(ROOM * self.rows.start.numpy()[-1]) + 64)
+
+    def reserve(self, entries: int) -> None:
+        """Make room for so many entries."""
+        self.rows.index = wp.zeros(entries, dtype=wp.int32, device=self.device)
 
     def build(self, grid, x, source, radius) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
@@ -48,6 +51,15 @@ class NeighborList:
             self.device,
         )
         launch(kn.clamp_rows, self.n + 1, [self.rows.index.shape[0]], [self.rows.start], self.device)
+
+    def transpose(self, other: NeighborList) -> None:
+        """Become the transpose of another list, without its boundary entries."""
+        self.count.zero_()
+        launch(kn.count_columns, other.n, [other.rows, self.n], [self.count], self.device)
+        wp.utils.array_scan(self.count, self.rows.start, inclusive=False)
+        launch(kn.clamp_rows, self.n + 1, [self.rows.index.shape[0]], [self.rows.start], self.device)
+        wp.copy(self.count, self.rows.start)
+        launch(kn.transpose_rows, other.n, [other.rows, self.n], [self.count, self.rows, self.overflow], self.device)
 
     @property
     def pairs(self) -> int:
@@ -83,51 +95,57 @@ class NeighborLists:
         mirrored = film.features.rim and film.features.lagrangian
         self.be = NeighborList(film.n_b, film.device, same=False) if mirrored else None
         self.mirror_reach = 2.0 * film.spacing
-        self._grid_e = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device)
-        self._grid_l = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device) if self.le else None
+        self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device)
         self.travel = film.zeros(4)
         self._part = film.parts()
         self.builds = [0, 0]
-        for action in ("allocate", "build"):
-            self._build_e(action)
-            self._build_l(action)
+        self._allocate()
+        self.rebuild()
 
-    def _build_e(self, action: str) -> None:
+    def _allocate(self) -> None:
         x = self.state.e.x
-        self._grid_e.build(x, self.reach)
-        getattr(self.ee, action)(self._grid_e, x, x, self.reach)
+        self._grid.build(x, self.reach)
+        self.ee.allocate(self._grid, x, x, self.reach)
         if self.be is not None:
-            getattr(self.be, action)(self._grid_e, self.film.rim.mirror, x, self.mirror_reach + self.skin)
+            self.be.allocate(self._grid, self.film.rim.mirror, x, self.mirror_reach + self.skin)
+        if self.le is not None:
+            self.le.allocate(self._grid, self.state.l.x, x, self.reach)
+            self.el.reserve(self.le.rows.index.shape[0])
+
+    def _build_e(self) -> None:
+        x = self.state.e.x
+        self._grid.build(x, self.reach)
+        self.ee.build(self._grid, x, x, self.reach)
+        if self.be is not None:
+            self.be.build(self._grid, self.film.rim.mirror, x, self.mirror_reach + self.skin)
         self.film.launch_one(kn.reset_travel, [0], [self.travel])
         self.builds[0] += 1
 
-    def _build_l(self, action: str) -> None:
-        if self.le is None:
-            return
+    def _build_l(self) -> None:
         x_e, x_l = self.state.e.x, self.state.l.x
-        self._grid_e.build(x_e, self.reach)
-        self._grid_l.build(x_l, self.reach)
-        getattr(self.le, action)(self._grid_e, x_l, x_e, self.reach)
-        getattr(self.el, action)(self._grid_l, x_e, x_l, self.reach)
+        self._grid.build(x_e, self.reach)
+        self.le.build(self._grid, x_l, x_e, self.reach)
+        self.el.transpose(self.le)
         self.film.launch_one(kn.reset_travel, [1], [self.travel])
         self.builds[1] += 1
 
     def rebuild(self) -> None:
         """Fill all lists for the present positions; whatever is aligned with them must be made anew."""
-        self._build_e("build")
-        self._build_l("build")
+        self._build_e()
+        if self.le is not None:
+            self._build_l()
 
     def update_e(self) -> None:
         """Rebuild the E:E list if pairs could be missing; to be followed by `Geometry.update`."""
         if 2.0 * self._read_travel()[0] > self.skin:
-            self._build_e("build")
+            self._build_e()
 
     def update_l(self) -> None:
         """Rebuild the lists between E and L if pairs could be missing before the coming step ends."""
         if self.le is not None:
             travel = self._read_travel()
             if travel[1] + 1.5 * (travel[2] + travel[3]) > self.skin:
-                self._build_l("build")
+                self._build_l()
 
     def _read_travel(self) -> np.ndarray:
         return self.travel.numpy()

@@ -182,31 +182,23 @@ def _set_masses(scene: Scene, stepper: Stepper) -> None:
 
 
 def _share_area(stepper: Stepper) -> None:
-    """Scale the areas of L until those near each E add up to its control area; put L on the surface first."""
-    film, state, transfer = stepper.film, stepper.state, stepper.transfer
-    if film.features.moving:
-        stepper.l_advance.project()
-        stepper.lists.rebuild()
+    """Make the areas of L and the control areas of E agree.
+
+    On a film that stays where it is, the evenly placed L are the better quadrature of a_E, also at the rim. On a
+    curved film the L are put on the surface and their areas scaled until those near each E add up to its own.
+    """
+    film, state, transfer, geometry = stepper.film, stepper.state, stepper.transfer, stepper.geometry
+    if not film.features.moving:
+        transfer.gather()
+        geometry.set_area(transfer.claim)
+        return
+    stepper.l_advance.project()
+    stepper.lists.rebuild()
     none = film.zeros(film.n_e)
     for _ in range(AREA_STEPS):
         transfer.gather()
-        film.launch_l(
-            kt.evolve_thickness_l,
-            [
-                state.l.x,
-                state.e.x,
-                none,
-                transfer.claim,
-                stepper.geometry.area,
-                stepper.lists.le.rows,
-                film.r,
-                film.n_e,
-                0.0,
-                1.0,
-                0.0,
-            ],
-            [state.l.eta],
-        )
+        film.launch_e(kt.thickness_growth_e, [none, transfer.claim, geometry.area, 0.0, 1.0, 0.0], [transfer.growth])
+        transfer.gather_to_l()
 
 
 def _set_velocity(scene: Scene, stepper: Stepper) -> None:
@@ -217,7 +209,7 @@ def _set_velocity(scene: Scene, stepper: Stepper) -> None:
         u[: film.n_e] = _field(scene.velocity, points, 0.0, "velocity", 3)
         state.e.u.assign(u)
     if state.l is not None:
-        stepper.transfer.velocity_to_l()
+        stepper.transfer.start_l()
 
 
 def _fill_gas(film: Film, stepper: Stepper) -> None:

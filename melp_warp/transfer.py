@@ -28,10 +28,11 @@ class Transfer:
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        self.weight = film.zeros(lists.le.rows.index.shape[0])
         self.alpha = film.zeros(film.n_l)
         self.offset = film.zeros(film.n_l, wp.vec3)
         self.lost = film.zeros(film.n_l, wp.int32)
-        self.claim = film.zeros(film.n_e)
+        self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
 
     def l_to_e(self) -> None:
@@ -43,11 +44,7 @@ class Transfer:
     def gather(self) -> None:
         """The sums of (6) and (7) alone."""
         film, e, lag = self.film, self.state.e, self.state.l
-        film.launch_l(
-            kt.normalize_l,
-            [lag.x, e.x, self.lists.le.rows, film.r, film.n_e],
-            [self.alpha, self.offset, self.lost],
-        )
+        self.normalize()
         film.launch_e(
             kt.gather_l_to_e,
             [
@@ -68,6 +65,15 @@ class Transfer:
             [e.mass, e.surfactant, self.claim, self.momentum],
         )
 
+    def normalize(self) -> None:
+        """Weights of all pairs at the present positions."""
+        film, lag = self.film, self.state.l
+        film.launch_l(
+            kt.normalize_l,
+            [lag.x, self.state.e.x, self.lists.le.rows, film.r, film.n_e],
+            [self.weight, self.alpha, self.offset, self.lost],
+        )
+
     def mirror_rim(self) -> None:
         """Give boundary particles the mirrored velocity of the film inside."""
         film, rim = self.film, self.film.rim
@@ -83,21 +89,28 @@ class Transfer:
 
     def e_to_l(self, dilation: wp.array, dt: float) -> None:
         """Velocity, affine state and thickness of L from E, (16)-(18) and (8)."""
-        film, e, lag = self.film, self.state.e, self.state.l
+        film = self.film
         rate = -math.expm1(-dt / film.numerics.thickness_time)
-        film.launch_l(
-            kt.evolve_thickness_l,
-            [lag.x, e.x, dilation, self.claim, self.geometry.area, self.lists.le.rows, film.r, film.n_e, dt, rate, THICKNESS_SLACK],
-            [lag.eta],
+        film.launch_e(
+            kt.thickness_growth_e,
+            [dilation, self.claim, self.geometry.area, dt, rate, THICKNESS_SLACK],
+            [self.growth],
         )
-        self.velocity_to_l()
-
-    def velocity_to_l(self) -> None:
-        """Velocity and affine state of L from E, (16)-(18)."""
-        film, e, lag = self.film, self.state.e, self.state.l
         self.mirror_rim()
+        self.gather_to_l()
+
+    def start_l(self) -> None:
+        """Velocity and affine state of L from E at the start of a run; the thickness stays."""
+        self.growth.zero_()
+        self.normalize()
+        self.mirror_rim()
+        self.gather_to_l()
+
+    def gather_to_l(self) -> None:
+        """The sums of (16)-(18), and the thickness of L grown by `growth`."""
+        film, e, lag = self.film, self.state.e, self.state.l
         film.launch_l(
             kt.gather_e_to_l,
-            [lag.x, e.x, e.u, e.normal, self.lists.le.rows, film.r],
-            [lag.u, lag.affine, lag.v, lag.normal],
+            [lag.x, e.x, e.u, e.normal, self.growth, self.weight, self.lists.le.rows, film.n_e],
+            [lag.u, lag.affine, lag.v, lag.normal, lag.eta],
         )
