@@ -8,7 +8,6 @@ import numpy as np
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.neighbors import NeighborList
 from melp_warp.numerics import Numerics
 from melp_warp.sampling import make_film
 from melp_warp.scene import Scene
@@ -95,24 +94,31 @@ def fitted_order(sizes, errors) -> float:
     return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0])
 
 
-def find_pairs(x: np.ndarray, source: np.ndarray, radius: float, device, same: bool) -> Neighbors:
-    """Neighbour rows of points x [n, 3] among `source` [m, 3], as the solver builds them."""
-    a, b = (wp.array(p.astype(np.float32), dtype=wp.vec3, device=device) for p in (x, source))
-    grid = wp.HashGrid(32, 32, 32, device=device)
-    grid.build(b, radius)
-    made = NeighborList(len(x), device, same)
-    for action in (made.allocate, made.build):
-        action(grid, a, b, radius)
-    return made.rows
+def pairs_of(rows: Neighbors) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(i, k, j) of every pair of a list: its row, its place in arrays aligned with the list, its column."""
+    start = rows.start.numpy().astype(np.int64)
+    count = rows.stop.numpy() - start
+    i = np.repeat(np.arange(len(start)), count)
+    k = np.arange(len(i)) + np.repeat(start - (np.cumsum(count) - count), count)
+    return i, k, rows.index.numpy()[k]
 
 
-def rows_of(neighbors) -> list[np.ndarray]:
-    """The rows of a neighbour list as index arrays."""
-    start, index = neighbors.start.numpy(), neighbors.index.numpy()
-    return [index[a:b] for a, b in zip(start[:-1], start[1:], strict=True)]
+def make_rows(columns: list, device) -> Neighbors:
+    """Neighbour rows from one sequence of indices a row."""
+    ends = np.cumsum([len(c) for c in columns])
+    starts = ends - [len(c) for c in columns]
+    rows = Neighbors()
+    for name, values in (("start", starts), ("stop", ends), ("index", np.concatenate(columns))):
+        setattr(rows, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=device))
+    return rows
 
 
-def row_of_pair(neighbors) -> np.ndarray:
-    """For each entry of a neighbour list, the particle whose row it stands in."""
-    start = neighbors.start.numpy()
-    return np.repeat(np.arange(len(start) - 1), np.diff(start))
+def near(x: np.ndarray, source: np.ndarray, radius: float, same: bool = False) -> list[np.ndarray]:
+    """For each x [n, 3] the indices of `source` [m, 3] within `radius`, by brute force; `same` leaves out itself."""
+    found = []
+    for i, p in enumerate(x.astype(np.float64)):
+        inside = np.sum((source - p) ** 2, axis=1) <= radius * radius
+        if same:
+            inside[i] = False
+        found.append(np.flatnonzero(inside))
+    return found
