@@ -1,0 +1,128 @@
+"""Neighbour lists against brute force, their overflow, and the skin on moving films."""
+
+import numpy as np
+import pytest
+
+from melp_warp.advance import PROJECTION_REACH
+from melp_warp.errors import SimulationError
+from melp_warp.material import Surroundings
+from melp_warp.shapes import Disc, Sphere
+from tests.helpers import Jittered, make_stepper, near, pairs_of, place_e
+
+SHAPES = {"closed": Jittered(Sphere(0.05)), "flat": Jittered(Disc(0.05))}
+
+
+def rows_as_sets(rows):
+    i, _, j = pairs_of(rows)
+    out = [set() for _ in range(len(rows.start))]
+    for a, b in zip(i.tolist(), j.tolist(), strict=True):
+        assert b not in out[a], "a pair stands twice in a row"
+        out[a].add(b)
+    return out
+
+
+def positions(stepper):
+    n = stepper.film.n_e
+    x = stepper.state.e.x.numpy().astype(np.float64)
+    return x[:n], x, stepper.state.l.x.numpy().astype(np.float64)
+
+
+def missing(rows, x, source, radius, same=False):
+    """Number of pairs within `radius` that a list lacks."""
+    want = np.sum(x * x, axis=1)[:, None] + np.sum(source * source, axis=1) - 2.0 * x @ source.T <= radius * radius
+    if same:
+        np.fill_diagonal(want, False)
+    i, _, j = pairs_of(rows)
+    want[i, j] = False
+    return int(want.sum())
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_lists_equal_brute_force(name, device):
+    """E:E (without itself), L:E and E:L hold the pairs within r + skin, each once.
+
+    Distances within rounding of the radius may fall on either side: compared just below and just above it.
+    """
+    film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4)
+    e, all_e, lag = positions(s)
+    lists = s.lists
+    for rows, x, source, same in (
+        (lists.ee.rows, e, all_e, True),
+        (lists.le.rows, lag, all_e, False),
+        (lists.el.rows, e, lag, False),
+    ):
+        have = rows_as_sets(rows)
+        low = near(x, source, lists.reach * (1.0 - 1e-5), same)
+        high = near(x, source, lists.reach * (1.0 + 1e-5), same)
+        for got, inside, around in zip(have, low, high, strict=True):
+            assert set(inside.tolist()) <= got <= set(around.tolist())
+    assert (film.n_b > 0) == (name == "flat")
+
+
+def test_lists_refill_after_a_move(device):
+    """A rebuilt list knows nothing of the old one: all particles in other places, the same brute force."""
+    _, s = make_stepper(SHAPES["closed"], 500, device, l_per_e=4)
+    e, _, lag = positions(s)
+    s.state.l.x.assign((lag @ np.diag([1.0, -1.0, 1.0])).astype(np.float32))
+    place_e(s, e[::-1], s.state.e.normal.numpy()[::-1])
+    e, all_e, lag = positions(s)
+    assert missing(s.lists.ee.rows, e, all_e, s.film.r, same=True) == 0
+    assert missing(s.lists.le.rows, lag, all_e, s.film.r) == 0
+    assert missing(s.lists.el.rows, e, lag, s.film.r) == 0
+
+
+def test_overflow_is_reported(device):
+    """Particles that clump want more neighbours than there is room for: an error, never a read beyond the rows."""
+    _, s = make_stepper(SHAPES["closed"], 500, device, l_per_e=4)
+    s.lists.check()
+    e, _, _ = positions(s)
+    place_e(s, 0.02 * e + [0.05, 0.0, 0.0])
+    i, k, j = pairs_of(s.lists.ee.rows)
+    assert k.max() < len(s.lists.ee.rows.index) and j.max() < 500 and len(i) > 0
+    with pytest.raises(SimulationError, match="EE"):
+        s.lists.check()
+
+
+AIR = Surroundings(air="added_mass")
+
+
+def swirl(points):
+    """Rotation about z and a squeeze along x: L flow along the surface, a bubble's E swing."""
+    x, y, z = points.T
+    return np.stack([-25.0 * y + 15.0 * x, 25.0 * x - 7.5 * y, -7.5 * z], axis=1)
+
+
+def whirl(points):
+    """Rotation of a disc in its plane xz, at rest on its rim."""
+    x, _, z = points.T
+    rate = 60.0 * (1.0 - (x * x + z * z) / 0.05**2)
+    return np.stack([rate * z, 0.0 * x, -rate * x], axis=1)
+
+
+@pytest.mark.parametrize(("name", "velocity", "dt"), [("closed", swirl, 5e-4), ("flat", whirl, 2e-4)])
+def test_skin_keeps_every_pair(name, velocity, dt, device):
+    """Over 40 steps of flow, no pair within r is missing when it is used, though lists live for several steps.
+
+    E:E is used from the end of a step on, L:E and E:L from `update_l` on; between, the projection of the moved L reads
+    pairs within its own shorter reach.
+    """
+    film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4, velocity=velocity, surroundings=AIR)
+    start = positions(s)
+    before = list(s.lists.builds)
+    largest = 0.0
+    for _ in range(40):
+        old = positions(s)
+        s.step(dt)
+        e, all_e, lag = positions(s)
+        largest = max(largest, np.linalg.norm(lag - old[2], axis=1).max())
+        assert missing(s.lists.ee.rows, e, all_e, film.r, same=True) == 0
+        assert missing(s.lists.le.rows, lag, all_e, PROJECTION_REACH * film.spacing) == 0
+        s.lists.update_l()
+        assert missing(s.lists.le.rows, lag, all_e, film.r) == 0
+        assert missing(s.lists.el.rows, e, lag, film.r) == 0
+    moved = [np.linalg.norm(a - b, axis=1).max() / film.spacing for a, b in ((e, start[0]), (lag, start[2]))]
+    builds = np.subtract(s.lists.builds, before)
+    print(f"{name}: E moved {moved[0]:.2f}, L {moved[1]:.2f} dx, {largest / film.spacing:.2f} a step; builds {builds}")
+    assert moved[1] > 2.0 and 1 <= builds[1] < 40
+    if name == "closed":
+        assert moved[0] > 0.25 and 1 <= builds[0] < 40
