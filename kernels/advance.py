@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from melp_warp.kernels.mls import height_above, vec5
+from melp_warp.kernels.mls import Quadric, height_above
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.sph import kernel_w, tangential
 
@@ -25,7 +25,7 @@ def smooth_drift_e(
     p = x[i]
     total = kernel_w(0.0, r)
     mean = total * drift[i]
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         w = kernel_w(wp.length(x[j] - p), r)
         total += w
@@ -105,8 +105,7 @@ def advance_l(v: wp.array(dtype=wp.vec3), dt: float, x: wp.array(dtype=wp.vec3))
 @wp.kernel
 def project_l(
     x_e: wp.array(dtype=wp.vec3),
-    base: wp.array(dtype=wp.vec3),
-    fit: wp.array(dtype=vec5),
+    surface: wp.array(dtype=Quadric),
     rows: Neighbors,
     r: float,
     n_e: int,
@@ -119,10 +118,9 @@ def project_l(
 
     Args:
         x_e: [n] m.
-        base: [n_e] normals of the fitting planes.
-        fit: [n_e] fits, lengths in r/3.
+        surface: [n_e] fitted surfaces.
         rows: L:E neighbours.
-        r: support radius, m.
+        r: radius within which fits are averaged, m.
         n_e: number of E.
         x_l: [n_l] m.
     """
@@ -130,13 +128,14 @@ def project_l(
     p = x_l[i]
     total = float(0.0)
     shift = wp.vec3()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < n_e:
             d = p - x_e[j]
             w = kernel_w(wp.length(d), r)
             if w > 0.0:
                 total += w
-                shift += w * height_above(fit[j], base[j], r / 3.0, d) * base[j]
+                q = surface[j]
+                shift += w * height_above(q, d) * q.normal
     if total > 0.0:
         x_l[i] = p - shift / total

@@ -34,7 +34,7 @@ def mirror_velocity_b(
     p = mirror[b]
     total = float(0.0)
     v = wp.vec3()
-    for k in range(rows.start[b], rows.start[b + 1]):
+    for k in range(rows.start[b], rows.stop[b]):
         j = rows.index[k]
         if j < n_e:
             w = kernel_w(wp.length(x_e[j] - p), r)
@@ -61,7 +61,7 @@ def confine_l(
     nearest = float(1.0e30)
     depth = float(0.0)
     across = wp.vec3()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         b = rows.index[k] - n_e
         if b >= 0:
             d = p - anchors[b]

@@ -3,9 +3,11 @@
 import warp as wp
 
 from melp_warp.kernels.mls import (
+    Quadric,
     cholesky_solve,
     fit_height,
     fitted_curvature,
+    make_quadric,
     mat55,
     quadratic_basis,
     slope_normal,
@@ -42,7 +44,7 @@ def orient_frames_e(
     mean = wp.vec3()
     second = wp.mat33()
     h = r / 3.0
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         d = (x[rows.index[k]] - p) / h
         w = kernel_w(wp.length(d), 3.0)
         total += w
@@ -93,7 +95,7 @@ def write_gradient(
     y1 = cholesky_solve(low, vec5(1.0, 0.0, 0.0, 0.0, 0.0))
     y2 = cholesky_solve(low, vec5(0.0, 1.0, 0.0, 0.0, 0.0))
     p = x[i]
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         g = wp.vec3()
         if j < limit:
@@ -111,8 +113,8 @@ def fit_surface_e(
     r: float,
     # outputs
     normal: wp.array(dtype=wp.vec3),
-    base: wp.array(dtype=wp.vec3),
-    fit: wp.array(dtype=vec5),
+    surface: wp.array(dtype=Quadric),
+    kappa: wp.array(dtype=float),
     gradient: wp.array(dtype=wp.vec3),
 ):
     """Fit the surface by MLS, refine the normal by its slope, store the fit and the gradient weights.
@@ -122,23 +124,56 @@ def fit_surface_e(
         rows: E:E neighbours.
         r: support radius, m.
         normal: [n_e] PCA normal in, refined out (section 4.8, step 4).
-        base: [n_e] normal of the plane that `fit` refers to.
-        fit: [n_e] coefficients over that plane, lengths in r/3.
+        surface: [n_e] fitted surfaces.
+        kappa: [n_e] sum of principal curvatures, 1/m.
         gradient: [pairs] see `write_gradient`.
     """
     i = wp.tid()
     n = normal[i]
     low, c = fit_height(i, x, n, rows, r, x.shape[0])
-    base[i] = n
-    fit[i] = c
+    surface[i] = make_quadric(c, n, r / 3.0)
     normal[i] = slope_normal(c, n)
+    kappa[i] = fitted_curvature(c, r / 3.0)
     write_gradient(i, x, n, rows, r, x.shape[0], low, c, gradient)
+
+
+@wp.kernel
+def sharpen_normal_e(
+    kappa: wp.array(dtype=float),
+    rows: Neighbors,
+    gradient: wp.array(dtype=wp.vec3),
+    n_e: int,
+    r: float,
+    # outputs
+    normal: wp.array(dtype=wp.vec3),
+):
+    """Take the cubic part of the surface out of the fitted slope. [n_e].
+
+    A linear slope fitted with isotropic weights to a cubic is off by <rho^4>/(8 <rho^2>) grad_s kappa; for the
+    quintic spline the factor is 0.2254 (r/3)^2. Left in, it biases the enclosed volume by x.grad_s kappa.
+
+    Args:
+        kappa: [n_e] sum of principal curvatures, 1/m.
+        rows: E:E neighbours.
+        gradient: [pairs] gradient weights, 1/m.
+        n_e: number of E.
+        r: support radius, m.
+        normal: [n_e] unit normals.
+    """
+    i = wp.tid()
+    slope = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        if j < n_e:
+            slope += (kappa[j] - kappa[i]) * gradient[k]
+    h = r / 3.0
+    normal[i] = wp.normalize(normal[i] + 0.2254 * h * h * slope)
 
 
 @wp.kernel
 def fit_inner_gradient_e(
     x: wp.array(dtype=wp.vec3),
-    base: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=Quadric),
     rows: Neighbors,
     r: float,
     n_e: int,
@@ -149,14 +184,14 @@ def fit_inner_gradient_e(
 
     Args:
         x: [n] positions, m.
-        base: [n_e] normals of the fitting planes.
+        surface: [n_e] fitted surfaces, for their planes.
         rows: E:E neighbours.
         r: support radius, m.
         n_e: number of E; particles from here on are boundary.
         gradient: [pairs] see `write_gradient`; zero for boundary neighbours.
     """
     i = wp.tid()
-    n = base[i]
+    n = surface[i].normal
     low, c = fit_height(i, x, n, rows, r, n_e)
     write_gradient(i, x, n, rows, r, n_e, low, c, gradient)
 
@@ -172,7 +207,7 @@ def curvature_mls_e(
 ):
     """Sum of principal curvatures by a quadratic fit, full formula of (10). [n_e], 1/m."""
     i = wp.tid()
-    low, c = fit_height(i, x, normal[i], rows, r, x.shape[0])
+    _low, c = fit_height(i, x, normal[i], rows, r, x.shape[0])
     kappa[i] = fitted_curvature(c, r / 3.0)
 
 
@@ -193,7 +228,7 @@ def curvature_sph_e(
     p = x[i]
     n = normal[i]
     total = float(0.0)
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         d = x[j] - p
         a = rim_area
@@ -222,7 +257,7 @@ def density_e(
     p = x[i]
     inner = kernel_w(0.0, r)
     outer = float(0.0)
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         w = kernel_w(wp.length(x[j] - p), r)
         if j < n_e:
@@ -234,11 +269,10 @@ def density_e(
 
 
 @wp.func
-def clip_cell(cell: mat2x16, count: int, u: float, v: float):
-    """Cut a polygon by the perpendicular bisector of the origin and (u, v), keeping the origin's side."""
+def clip_cell(cell: mat2x16, count: int, u: float, v: float, half: float):
+    """Cut a polygon by the line q.(u, v) = half, keeping the origin's side."""
     kept = mat2x16()
     n = int(0)
-    half = 0.5 * (u * u + v * v)
     px = cell[0, count - 1]
     py = cell[1, count - 1]
     sp = px * u + py * v - half
@@ -261,25 +295,10 @@ def clip_cell(cell: mat2x16, count: int, u: float, v: float):
     return kept, n
 
 
-@wp.kernel
-def voronoi_area_e(
-    x: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    rows: Neighbors,
-    r: float,
-    # outputs
-    area: wp.array(dtype=float),
-):
-    """Area of each E's Voronoi cell in its tangent plane, distances kept as chords. [n_e], m^2.
-
-    Unlike 1/delta of (9), whose sum is biased on uneven particles, the cells tile the surface to second order.
-    """
-    i = wp.tid()
-    p = x[i]
-    n = normal[i]
-    e1, e2 = tangent_basis(n)
+@wp.func
+def square_cell(half: float) -> mat2x16:
+    """The square of side 2 half about the origin."""
     cell = mat2x16()
-    half = 0.5 * r
     cell[0, 0] = -half
     cell[1, 0] = -half
     cell[0, 1] = half
@@ -288,28 +307,86 @@ def voronoi_area_e(
     cell[1, 2] = half
     cell[0, 3] = -half
     cell[1, 3] = half
+    return cell
+
+
+@wp.kernel
+def voronoi_cell_e(
+    x: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=Quadric),
+    rows: Neighbors,
+    r: float,
+    # outputs
+    area: wp.array(dtype=float),
+    flux: wp.array(dtype=wp.vec3),
+    bulge: wp.array(dtype=float),
+):
+    """Voronoi cell of each E on its fitted surface: area and what the volume (11) needs.
+
+    The cell is cut in the tangent plane. The bisector of a neighbour at (u, v, z) lies at half (u^2 + v^2 + z^2/2) next
+    to the neighbour and, as the surface falls away, further in towards the ends of the edge: 0.444 z^2 is the mean over
+    a hexagon's edge.
+    With z = q.Q q/2 over the plane, area = |C| + tr(Q Q M)/2 and, for p = x_i + offset, the integral of p.n over the
+    cell is x_i.flux + bulge with flux = |C| n - Q m, bulge = -tr(Q M)/2, m and M the moments of C. Unlike 1/delta
+    of (9), whose sum is biased on uneven particles, the cells tile the surface to second order.
+
+    Args:
+        x: [n] positions, m.
+        normal: [n] unit normals.
+        surface: [n_e] fitted surfaces.
+        rows: E:E neighbours.
+        r: support radius, m.
+        area: [n_e] m^2.
+        flux: [n_e] m^2.
+        bulge: [n_e] m^3.
+    """
+    i = wp.tid()
+    p = x[i]
+    n = normal[i]
+    e1, e2 = tangent_basis(n)
+    cell = square_cell(0.5 * r)
     count = int(4)
-    reach = float(2.0) * half * half
-    for k in range(rows.start[i], rows.start[i + 1]):
+    reach = float(0.5) * r * r
+    for k in range(rows.start[i], rows.stop[i]):
         d = x[rows.index[k]] - p
-        dd = wp.length_sq(d)
-        if dd < 4.0 * reach:
+        if wp.length_sq(d) < 4.0 * reach:
             u = wp.dot(d, e1)
             v = wp.dot(d, e2)
-            flat = u * u + v * v
-            if flat > 0.0:
-                stretch = wp.sqrt(dd / flat)
-                cell, count = clip_cell(cell, count, u * stretch, v * stretch)
-                reach = float(0.0)
-                for m in range(count):
-                    reach = wp.max(reach, cell[0, m] * cell[0, m] + cell[1, m] * cell[1, m])
-    twice = float(0.0)
+            z = wp.dot(d, n)
+            cell, count = clip_cell(cell, count, u, v, 0.5 * (u * u + v * v + 0.444 * z * z))
+            reach = float(0.0)
+            for m in range(count):
+                reach = wp.max(reach, cell[0, m] * cell[0, m] + cell[1, m] * cell[1, m])
+    flat = float(0.0)
+    first = wp.vec2()
+    uu = float(0.0)
+    uv = float(0.0)
+    vv = float(0.0)
     for m in range(count):
         q = m + 1
         if q == count:
             q = 0
-        twice += cell[0, m] * cell[1, q] - cell[1, m] * cell[0, q]
-    area[i] = 0.5 * twice
+        ax = cell[0, m]
+        ay = cell[1, m]
+        bx = cell[0, q]
+        by = cell[1, q]
+        cross = ax * by - ay * bx
+        flat += cross / 2.0
+        first += cross / 6.0 * wp.vec2(ax + bx, ay + by)
+        uu += cross / 12.0 * (ax * ax + ax * bx + bx * bx)
+        uv += cross / 24.0 * (2.0 * ax * ay + ax * by + bx * ay + 2.0 * bx * by)
+        vv += cross / 12.0 * (ay * ay + ay * by + by * by)
+    second = 2.0 * surface[i].second
+    s1 = second * e1
+    s2 = second * e2
+    q11 = wp.dot(e1, s1)
+    q12 = wp.dot(e1, s2)
+    q22 = wp.dot(e2, s2)
+    stretch = (q11 * q11 + q12 * q12) * uu + 2.0 * q12 * (q11 + q22) * uv + (q12 * q12 + q22 * q22) * vv
+    area[i] = flat + 0.5 * stretch
+    flux[i] = flat * n - (q11 * first[0] + q12 * first[1]) * e1 - (q12 * first[0] + q22 * first[1]) * e2
+    bulge[i] = -0.5 * (q11 * uu + 2.0 * q12 * uv + q22 * vv)
 
 
 @wp.kernel
@@ -331,7 +408,7 @@ def control_area_e(
     i = wp.tid()
     p = x[i]
     total = kernel_w(0.0, r) * cell[i] / density_inner[i]
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < n_e:
             total += kernel_w(wp.length(x[j] - p), r) * cell[j] / density_inner[j]
@@ -355,7 +432,7 @@ def pair_weights_e(
     """
     i = wp.tid()
     p = x[i]
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         a = rim_area
         if j < n_e:

@@ -49,7 +49,7 @@ def apply_row(
     """(A x)_i."""
     xi = x[i]
     total = xi - xi
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         total += pair[k] * (xi - x[rows.index[k]])
     return diag[i] * xi + scale * total
 
@@ -66,7 +66,7 @@ def invert_diagonal(
     """1/A_ii, the Jacobi preconditioner. [n]."""
     i = wp.tid()
     total = float(0.0)
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         total += pair[k]
     a = diag[i] + scale[0] * total
     inverse[i] = wp.where(a > 0.0, 1.0 / a, 0.0)
@@ -86,7 +86,7 @@ def start_residual(
     z: wp.array(dtype=Any),
     p: wp.array(dtype=Any),
 ):
-    """R = b - A x, z = r/A_ii, p = z."""
+    """r = b - A x, z = r/A_ii, p = z."""
     i = wp.tid()
     ri = b[i] - apply_row(i, x, diag, pair, scale[0], rows)
     r[i] = ri
@@ -105,7 +105,7 @@ def apply_operator(
     # outputs
     y: wp.array(dtype=Any),
 ):
-    """Y = A x. [n]."""
+    """y = A x. [n]."""
     i = wp.tid()
     y[i] = apply_row(i, x, diag, pair, scale[0], rows)
 
@@ -166,7 +166,7 @@ def start_scalars(
 
 @wp.kernel
 def set_alpha(pq: wp.array(dtype=float), scalar: wp.array(dtype=float)):
-    """Alpha = (r, z)/(p, A p)."""
+    """alpha = (r, z)/(p, A p)."""
     value = total_of(pq)
     scalar[ALPHA_OLD] = scalar[ALPHA]
     scalar[ALPHA] = wp.where(value > 0.0, scalar[RZ] / value, 0.0)
@@ -181,7 +181,10 @@ def set_beta(
     scalar: wp.array(dtype=float),
     go: wp.array(dtype=int),
 ):
-    """Beta = (r, z)_new/(r, z)_old and the decision to go on at slack times the limit. control = (tolerance, iterations)."""
+    """beta = (r, z)_new/(r, z)_old and whether to go on. control = (tolerance, iterations).
+
+    The limit is taken `slack` times; 0 leaves the decision to another kernel.
+    """
     value = total_of(rz)
     scalar[BETA] = wp.where(scalar[RZ] > 0.0, value / scalar[RZ], 0.0)
     scalar[RZ] = value
@@ -201,7 +204,7 @@ def advance_solution(
     r: wp.array(dtype=Any),
     z: wp.array(dtype=Any),
 ):
-    """X += alpha p, r -= alpha A p, z = r/A_ii."""
+    """x += alpha p, r -= alpha A p, z = r/A_ii."""
     i = wp.tid()
     alpha = scalar[ALPHA]
     x[i] = x[i] + alpha * p[i]
@@ -212,7 +215,7 @@ def advance_solution(
 
 @wp.kernel
 def advance_direction(scalar: wp.array(dtype=float), z: wp.array(dtype=Any), p: wp.array(dtype=Any)):
-    """P = z + beta p."""
+    """p = z + beta p."""
     i = wp.tid()
     p[i] = z[i] + scalar[BETA] * p[i]
 
@@ -309,12 +312,12 @@ def apply_shifted(
     # outputs
     q: wp.array(dtype=float),
 ):
-    """Q = (D + p_0) p with D = -area^-1/2 (a_i a_j K_ij Laplacian) area^-1/2, the negative surface Laplacian."""
+    """q = (D + p_0) p with D = -area^-1/2 (a_i a_j K_ij Laplacian) area^-1/2, the negative surface Laplacian."""
     i = wp.tid()
     si = 1.0 / wp.sqrt(area[i])
     pi = p[i] * si
     total = float(0.0)
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         pj = float(0.0)
         if j < area.shape[0]:
@@ -351,7 +354,7 @@ def advance_shifted(
     x: wp.array(dtype=float),
     r: wp.array(dtype=float),
 ):
-    """X += Re sum_k g_k alpha_k p_k, r -= alpha q."""
+    """x += Re sum_k g_k alpha_k p_k, r -= alpha q."""
     i = wp.tid()
     dr = real[i]
     di = imag[i]
@@ -408,6 +411,6 @@ def stop_shifted(
 
 @wp.kernel
 def unscale(x: wp.array(dtype=float), area: wp.array(dtype=float), y: wp.array(dtype=float)):
-    """Y = x/sqrt(area). [n]."""
+    """y = x/sqrt(area). [n]."""
     i = wp.tid()
     y[i] = x[i] / wp.sqrt(area[i])

@@ -10,6 +10,7 @@ GAUGE = wp.constant(1)
 AMOUNT = wp.constant(2)
 INCREMENT = wp.constant(3)
 AREA = wp.constant(4)
+OFFSET = wp.constant(5)
 
 
 @wp.kernel
@@ -22,7 +23,7 @@ def predict_position_e(
     # outputs
     predicted: wp.array(dtype=wp.vec3),
 ):
-    """X + theta dt u_n n for E; boundary particles stay. [n], m."""
+    """x + theta dt u_n n for E; boundary particles stay. [n], m."""
     i = wp.tid()
     p = x[i]
     if i < n_e:
@@ -313,20 +314,30 @@ def apply_membrane_e(
 @wp.kernel
 def volume_chunks(
     x: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    area: wp.array(dtype=float),
+    cell: wp.array(dtype=float),
+    flux: wp.array(dtype=wp.vec3),
+    bulge: wp.array(dtype=float),
     n: int,
     # outputs
     part: wp.array(dtype=wp.vec2d),
 ):
-    """Parts of the enclosed volume (11), sum a (x - O).n/3 about O = x_0, and of the area. m^3, m^2."""
+    """Parts of the enclosed volume (11), a third of the integral of (x - x_0).n over the cells, and of the area.
+
+    Args:
+        x: [n] m.
+        cell: [n_e] cell areas, m^2.
+        flux: [n_e] m^2, see `voronoi_cell_e`.
+        bulge: [n_e] m^3, likewise.
+        n: number of E.
+        part: parts of (volume, area), m^3 and m^2.
+    """
     c = wp.tid()
     size = (n + part.shape[0] - 1) // part.shape[0]
     total = wp.vec2d()
     o = x[0]
     for i in range(c * size, wp.min(n, (c + 1) * size)):
-        a = area[i]
-        total += wp.vec2d(wp.float64(a * wp.dot(x[i] - o, normal[i])) / wp.float64(3.0), wp.float64(a))
+        triple = wp.float64(wp.dot(x[i] - o, flux[i])) + wp.float64(bulge[i])
+        total += wp.vec2d(triple / wp.float64(3.0), wp.float64(cell[i]))
     part[c] = total
 
 
@@ -341,27 +352,20 @@ def store_volume(part: wp.array(dtype=wp.vec2d), gas: wp.array(dtype=wp.float64)
 
 
 @wp.kernel
-def close_volume_e(
-    normal: wp.array(dtype=wp.vec3),
-    gas: wp.array(dtype=wp.float64),
-    p_atm: wp.float64,
-    limit: float,
-    # outputs
-    x: wp.array(dtype=wp.vec3),
-):
-    """Offset the surface along its normals so that the volume it encloses is the one its pressure asks for.
+def find_offset(p_atm: wp.float64, limit: wp.float64, gas: wp.array(dtype=wp.float64)):
+    """Normal offset (at most `limit`, m) that gives the measured volume the size its pressure asks for.
 
     The swept volume that `close_gas` predicts is of second order in the displacement; what it misses is mended here
-    and not left to the next step's pressure.
-
-    Args:
-        normal: [n] unit normals.
-        gas: gas slots with the volume measured after the move.
-        p_atm: Pa.
-        limit: largest offset, m.
-        x: [n] m.
+    and not left to the next step's pressure. The volume slot then holds the volume after the offset.
     """
-    i = wp.tid()
     wanted = gas[AMOUNT] / (p_atm + gas[GAUGE])
-    offset = wp.clamp(float((wanted - gas[VOLUME]) / gas[AREA]), -limit, limit)
-    x[i] = x[i] + offset * normal[i]
+    offset = wp.clamp((wanted - gas[VOLUME]) / gas[AREA], -limit, limit)
+    gas[OFFSET] = offset
+    gas[VOLUME] = gas[VOLUME] + offset * gas[AREA]
+
+
+@wp.kernel
+def offset_surface_e(normal: wp.array(dtype=wp.vec3), gas: wp.array(dtype=wp.float64), x: wp.array(dtype=wp.vec3)):
+    """Move E along their normals by the offset in the gas slots. [n_e], m."""
+    i = wp.tid()
+    x[i] = x[i] + float(gas[OFFSET]) * normal[i]

@@ -67,7 +67,8 @@ def fit_height(
 ):
     """Fit z = c.(u, v, u^2, uv, v^2) through x_i over the plane with normal n.
 
-    There is no constant term: a particle displaced alone must enter its own curvature. Lengths are in h = r/3. Only neighbours below index `limit` take part.
+    There is no constant term: a particle displaced alone must enter its own curvature. Lengths are in h = r/3.
+    Only neighbours below index `limit` take part.
 
     Returns:
         The Cholesky factor of the normal matrix and the coefficients c.
@@ -77,7 +78,7 @@ def fit_height(
     p = x[i]
     a = mat55()
     rhs = vec5()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         d = (x[j] - p) / h
         w = kernel_w(wp.length(d), 3.0)
@@ -110,12 +111,31 @@ def fitted_curvature(c: vec5, h: float) -> float:
     return top / (g * wp.sqrt(g) * h)
 
 
+@wp.struct
+class Quadric:
+    """The surface near a particle at o: points o + d with d.gradient = d.(second d), over the plane with `normal`."""
+
+    normal: wp.vec3
+    gradient: wp.vec3
+    second: wp.mat33
+
+
 @wp.func
-def height_above(c: vec5, n: wp.vec3, h: float, d: wp.vec3) -> float:
-    """Height along n of the point at d from the fit's origin above the fitted surface, m."""
+def make_quadric(c: vec5, n: wp.vec3, h: float) -> Quadric:
+    """The fit z = c.b over the plane with normal n, in world axes; lengths of c in h."""
     e1, e2 = tangent_basis(n)
-    b = quadratic_basis(wp.dot(d, e1) / h, wp.dot(d, e2) / h)
-    return wp.dot(d, n) - h * wp.dot(c, b)
+    q = Quadric()
+    q.normal = n
+    q.gradient = n - c[0] * e1 - c[1] * e2
+    cross = 0.5 * c[3] * (wp.outer(e1, e2) + wp.outer(e2, e1))
+    q.second = (c[2] * wp.outer(e1, e1) + c[4] * wp.outer(e2, e2) + cross) / h
+    return q
+
+
+@wp.func
+def height_above(q: Quadric, d: wp.vec3) -> float:
+    """Height along the plane's normal of the point at d above the surface, m."""
+    return wp.dot(d, q.gradient - q.second * d)
 
 
 @wp.func
@@ -123,6 +143,6 @@ def gradient_at(i: int, f: wp.array(dtype=Any), rows: Neighbors, gradient: wp.ar
     """Surface gradient sum_j (f_j - f_i) g_ij of a scalar field."""
     total = wp.vec3()
     fi = f[i]
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         total += (f[rows.index[k]] - fi) * gradient[k]
     return total

@@ -1,4 +1,4 @@
-"""Neighbour lists from a hash grid, stored as one index array with row starts (CSR)."""
+"""Neighbour lists from a hash grid, stored as one index array with the start and stop of each row."""
 
 import warp as wp
 
@@ -7,30 +7,11 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Neighbors:
-    """Row i holds index[start[i]:start[i + 1]]."""
+    """Row i holds index[start[i]:stop[i]]."""
 
     start: wp.array(dtype=wp.int32)
+    stop: wp.array(dtype=wp.int32)
     index: wp.array(dtype=wp.int32)
-
-
-@wp.kernel
-def count_neighbors(
-    grid: wp.uint64,
-    x: wp.array(dtype=wp.vec3),
-    source: wp.array(dtype=wp.vec3),
-    radius: float,
-    same: int,
-    # outputs
-    count: wp.array(dtype=wp.int32),
-):
-    """Count the `source` points within `radius` of each x; `same` = 1 leaves a point out of its own row."""
-    i = wp.tid()
-    n = int(0)
-    p = x[i]
-    for j in wp.hash_grid_query(grid, p, radius):
-        if wp.length_sq(source[j] - p) <= radius * radius and (same == 0 or j != i):
-            n += 1
-    count[i] = n
 
 
 @wp.kernel
@@ -40,58 +21,47 @@ def fill_neighbors(
     source: wp.array(dtype=wp.vec3),
     radius: float,
     same: int,
+    stride: int,
     # outputs
     rows: Neighbors,
-    overflow: wp.array(dtype=wp.int32),
+    widest: wp.array(dtype=wp.int32),
 ):
-    """Write the rows counted by `count_neighbors`; `overflow` keeps the largest number of entries wanted."""
+    """List the `source` points within `radius` of each x in rows of room `stride`, in one query.
+
+    What does not fit is left out; `widest` keeps the longest row wanted. `same` = 1 leaves a point out of its own row.
+    """
     i = wp.tid()
     p = x[i]
-    k = rows.start[i]
+    first = i * stride
+    n = int(0)
     for j in wp.hash_grid_query(grid, p, radius):
         if wp.length_sq(source[j] - p) <= radius * radius and (same == 0 or j != i):
-            if k < rows.index.shape[0]:
-                rows.index[k] = j
-            k += 1
-    wp.atomic_max(overflow, 0, k)
-
-
-@wp.kernel
-def clamp_rows(capacity: int, start: wp.array(dtype=wp.int32)):
-    """Keep row starts inside the index array, so that an overflow never reads beyond it."""
-    i = wp.tid()
-    start[i] = wp.min(start[i], capacity)
+            if n < stride:
+                rows.index[first + n] = j
+            n += 1
+    rows.start[i] = first
+    rows.stop[i] = first + wp.min(n, stride)
+    wp.atomic_max(widest, 0, n)
 
 
 @wp.kernel
 def count_columns(rows: Neighbors, limit: int, count: wp.array(dtype=wp.int32)):
     """Count how often each index below `limit` occurs in the rows."""
     i = wp.tid()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < limit:
             wp.atomic_add(count, j, 1)
 
 
 @wp.kernel
-def transpose_rows(
-    rows: Neighbors,
-    limit: int,
-    # outputs
-    cursor: wp.array(dtype=wp.int32),
-    columns: Neighbors,
-    overflow: wp.array(dtype=wp.int32),
-):
-    """Write the transposed list; `cursor` starts as a copy of its row starts."""
+def transpose_rows(rows: Neighbors, limit: int, columns: Neighbors):
+    """Write the transposed list; columns.stop starts as a copy of columns.start. There is room for every entry."""
     i = wp.tid()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < limit:
-            place = wp.atomic_add(cursor, j, 1)
-            if place < columns.index.shape[0]:
-                columns.index[place] = i
-            else:
-                wp.atomic_max(overflow, 0, place + 1)
+            columns.index[wp.atomic_add(columns.stop, j, 1)] = i
 
 
 @wp.kernel

@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from melp_warp.kernels.mls import gradient_at, vec5
+from melp_warp.kernels.mls import Quadric, gradient_at
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.sph import tangent_basis, tangential
+from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,7 +25,7 @@ def spread_chunks(density: wp.array(dtype=float), n: int, part: wp.array(dtype=w
 
 @wp.kernel
 def summarize_spread(part: wp.array(dtype=wp.vec4), threshold: float, spread: wp.array(dtype=float)):
-    """Spread = [(delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold]."""
+    """spread = [(delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold]."""
     low = float(1.0e30)
     high = float(0.0)
     s1 = float(0.0)
@@ -64,11 +64,9 @@ def shift_e(
     u: wp.array(dtype=wp.vec3),
     drift: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
-    base: wp.array(dtype=wp.vec3),
-    fit: wp.array(dtype=vec5),
+    surface: wp.array(dtype=Quadric),
     rows: Neighbors,
     gradient: wp.array(dtype=wp.vec3),
-    r: float,
     strength: float,
     limit: float,
     dt: float,
@@ -85,11 +83,9 @@ def shift_e(
         u: [n] material velocity, m/s.
         drift: [n_e] tangential E velocity, m/s.
         normal: [n] unit normals.
-        base: [n_e] normals of the fitting planes.
-        fit: [n_e] fits, lengths in r/3.
+        surface: [n_e] fitted surfaces.
         rows: E:E neighbours.
         gradient: [pairs] gradient weights, 1/m.
-        r: support radius, m.
         strength: beta, 0 to 1.
         limit: largest shift, m.
         dt: s.
@@ -103,16 +99,11 @@ def shift_e(
     size = wp.length(shift)
     if size > limit:
         shift = shift * (limit / size)
-    h = r / 3.0
-    e1, e2 = tangent_basis(base[i])
-    c = fit[i]
-    s1 = wp.dot(shift, e1) / h
-    s2 = wp.dot(shift, e2) / h
-    x_new[i] = x[i] + shift + h * (c[2] * s1 * s1 + c[3] * s1 * s2 + c[4] * s2 * s2) * n
+    x_new[i] = x[i] + shift + wp.dot(shift, surface[i].second * shift) * n
     moved = shift + dt * drift[i]
     ui = u[i]
     change = wp.vec3()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         change += wp.dot(gradient[k], moved) * (u[rows.index[k]] - ui)
     u_new[i] = ui + change
     drift_new[i] = drift[i] + shift / dt

@@ -61,7 +61,7 @@ def dilation_e(
     i = wp.tid()
     ui = u[i]
     total = float(0.0)
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         total += wp.dot(gradient[k], u[rows.index[k]] - ui)
     dilation[i] = total
 
@@ -109,7 +109,7 @@ def assemble_surfactant_e(
     i = wp.tid()
     p = x[i]
     body = float(0.0)
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         c = float(0.0)
         if j < n_e:
@@ -161,7 +161,7 @@ def accelerate_tangential_e(
     i = wp.tid()
     p = x[i]
     total = wp.vec3()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < n_e:
             flux = stiffness / log_mean(eta[i], eta[j]) * (gamma[j] - gamma[i]) - wp.dot(g, x[j] - p)
@@ -209,7 +209,7 @@ def assemble_viscosity_e(
     """
     i = wp.tid()
     mi = mass[i] / area[i]
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         c = float(0.0)
         if j < n_e:

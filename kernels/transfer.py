@@ -11,34 +11,51 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def normalize_l(
     x_l: wp.array(dtype=wp.vec3),
+    u_l: wp.array(dtype=wp.vec3),
+    affine_l: wp.array(dtype=wp.mat33),
+    mass_l: wp.array(dtype=float),
+    surfactant_l: wp.array(dtype=float),
+    eta_l: wp.array(dtype=float),
     x_e: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     r: float,
     n_e: int,
+    density: float,
     # outputs
     weight: wp.array(dtype=float),
-    alpha: wp.array(dtype=float),
-    offset: wp.array(dtype=wp.vec3),
+    share: wp.array(dtype=wp.vec3),
+    momentum: wp.array(dtype=wp.vec3),
+    slope: wp.array(dtype=wp.mat33),
     lost: wp.array(dtype=int),
 ):
-    """W(E, L) of every pair, alpha_L = sum_E W of (6) over E alone, and the offset of the weighted mean of the E.
+    """What each L gives per weight W(E, L): its quantities over alpha_L = sum_E W of (6), E alone.
+
+    The affine part is taken about the weighted mean of the E, where the carried velocity belongs: its sum over the
+    E vanishes, so momentum is conserved to rounding, and affine fields are reproduced.
 
     Args:
         x_l: [n_l] m.
+        u_l: [n_l] carried velocity, m/s.
+        affine_l: [n_l] velocity gradient B D^-1, 1/s.
+        mass_l: [n_l] kg.
+        surfactant_l: [n_l] amount c, mol (of one interface).
+        eta_l: [n_l] thickness, m.
         x_e: [n] m.
         rows: L:E neighbours.
         r: support radius, m.
         n_e: number of E; boundary particles beyond take no part, so that the transfer conserves.
-        weight: [pairs] 1/m^2, boundary particles included.
-        alpha: [n_l] 1/m^2.
-        offset: [n_l] sum_E W^ x_E - x_L, m.
+        density: rho, kg/m^3.
+        weight: [pairs] W(E, L), boundary particles included, 1/m^2.
+        share: [n_l] (mass, surfactant, area m/(rho eta))/alpha.
+        momentum: [n_l] m (u - C o)/alpha, with o the weighted mean of the E as seen from the L.
+        slope: [n_l] m C/alpha.
         lost: [n_l] 1 for an L that no E is near to.
     """
     i = wp.tid()
     p = x_l[i]
     total = float(0.0)
     mean = wp.vec3()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         d = x_e[j] - p
         w = kernel_w(wp.length(d), r)
@@ -46,28 +63,26 @@ def normalize_l(
         if j < n_e:
             total += w
             mean += w * d
+    inverse = float(0.0)
     if total > 0.0:
-        mean = mean / total
-    alpha[i] = total
-    offset[i] = mean
+        inverse = 1.0 / total
+    m = mass_l[i] * inverse
+    c = affine_l[i]
+    share[i] = wp.vec3(m, surfactant_l[i] * inverse, m / (density * eta_l[i]))
+    momentum[i] = m * (u_l[i] - c * (inverse * mean))
+    slope[i] = m * c
     lost[i] = wp.where(total > 0.0, 0, 1)
 
 
 @wp.kernel
 def gather_l_to_e(
     x_e: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     r: float,
-    density: float,
     x_l: wp.array(dtype=wp.vec3),
-    u_l: wp.array(dtype=wp.vec3),
-    affine_l: wp.array(dtype=wp.mat33),
-    mass_l: wp.array(dtype=float),
-    surfactant_l: wp.array(dtype=float),
-    eta_l: wp.array(dtype=float),
-    alpha: wp.array(dtype=float),
-    offset: wp.array(dtype=wp.vec3),
+    share: wp.array(dtype=wp.vec3),
+    momentum: wp.array(dtype=wp.vec3),
+    slope: wp.array(dtype=wp.mat33),
     # outputs
     mass_e: wp.array(dtype=float),
     surfactant_e: wp.array(dtype=float),
@@ -76,23 +91,14 @@ def gather_l_to_e(
 ):
     """Gather mass, surfactant, claimed area and APIC momentum, (6) and (7).
 
-    The affine part is taken about the weighted mean of the E, where the carried velocity belongs: its sum over the
-    E vanishes, so momentum is conserved to rounding, and affine fields are reproduced.
-
     Args:
         x_e: [n] m.
-        normal: [n] unit normals.
         rows: E:L neighbours.
         r: support radius, m.
-        density: rho, kg/m^3.
         x_l: [n_l] m.
-        u_l: [n_l] carried velocity, m/s.
-        affine_l: [n_l] velocity gradient B D^-1, 1/s.
-        mass_l: [n_l] kg.
-        surfactant_l: [n_l] amount c, mol (of one interface).
-        eta_l: [n_l] thickness, m.
-        alpha: [n_l] from `normalize_l`.
-        offset: [n_l] from `normalize_l`.
+        share: [n_l] from `normalize_l`, as the next two.
+        momentum: [n_l].
+        slope: [n_l].
         mass_e: [n_e] kg.
         surfactant_e: [n_e] mol.
         claim_e: [n_e] area that the L take up at their thickness, m^2.
@@ -100,25 +106,19 @@ def gather_l_to_e(
     """
     i = wp.tid()
     p = x_e[i]
-    mass = float(0.0)
-    amount = float(0.0)
-    claim = float(0.0)
-    momentum = wp.vec3()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    total = wp.vec3()
+    moving = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         d = p - x_l[j]
         w = kernel_w(wp.length(d), r)
         if w > 0.0:
-            w = w / alpha[j]
-            wm = w * mass_l[j]
-            mass += wm
-            amount += w * surfactant_l[j]
-            claim += wm / eta_l[j]
-            momentum += wm * (u_l[j] + affine_l[j] * (d - offset[j]))
-    mass_e[i] = mass
-    surfactant_e[i] = amount
-    claim_e[i] = claim / density
-    momentum_e[i] = momentum
+            total += w * share[j]
+            moving += w * (momentum[j] + slope[j] * d)
+    mass_e[i] = total[0]
+    surfactant_e[i] = total[1]
+    claim_e[i] = total[2]
+    momentum_e[i] = moving
 
 
 @wp.kernel
@@ -192,7 +192,7 @@ def gather_e_to_l(
     velocity = wp.vec3()
     moment = wp.mat33()
     n = wp.vec3()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         w = weight[k]
         if w > 0.0:
             j = rows.index[k]
@@ -283,7 +283,7 @@ def interpolate_velocity_l(
     total = float(0.0)
     first = wp.vec3()
     velocity = wp.vec3()
-    for k in range(rows.start[i], rows.start[i + 1]):
+    for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         d = x_e[j] - p
         w = kernel_w(wp.length(d), r)

@@ -19,6 +19,9 @@ SHIFT_ITERATIONS = 20
 SHIFT_LIMIT = 0.1
 """Largest shift of an E in one redistribution, in spacings."""
 
+PROJECTION_REACH = 2.0
+"""Reach of the fits that an L is projected with, in spacings: nearer fits are the better ones."""
+
 
 class EulerianAdvance:
     """Motion of E with the surface. Made only for films whose surface moves.
@@ -84,11 +87,9 @@ class Redistribution:
                 e.u,
                 e.drift,
                 e.normal,
-                geometry.base,
-                geometry.fit,
+                geometry.surface,
                 rows,
                 geometry.gradient,
-                film.r,
                 film.numerics.redistribution,
                 SHIFT_LIMIT * film.spacing,
                 dt,
@@ -133,6 +134,6 @@ class LagrangianAdvance:
         film, e = self.film, self.state.e
         film.launch_l(
             ka.project_l,
-            [e.x, self.geometry.base, self.geometry.fit, self.lists.le.rows, film.r, film.n_e],
+            [e.x, self.geometry.surface, self.lists.le.rows, PROJECTION_REACH * film.spacing, film.n_e],
             [self.state.l.x],
         )

@@ -7,7 +7,7 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.kernels import geometry as kg
 from melp_warp.kernels import membrane as km
-from melp_warp.kernels.mls import vec5
+from melp_warp.kernels.mls import Quadric
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
@@ -16,7 +16,7 @@ class Geometry:
     """The surface as E see it.
 
     Attributes:
-        base, fit: [n_e] quadratic fits.
+        surface: [n_e] quadratic fits.
         gradient: [pairs] surface-gradient weights.
         inner_gradient: [pairs] the same over E alone (another array only where there is a rim).
         weight: [pairs] a_i a_j K_ij.
@@ -29,23 +29,29 @@ class Geometry:
     def __init__(self, film: Film, state: State, lists: NeighborLists):
         self.film, self.state, self.lists = film, state, lists
         pairs = lists.ee.rows.index.shape[0]
-        self.base = film.zeros(film.n_e, wp.vec3)
-        self.fit = film.zeros(film.n_e, vec5)
+        self.surface = film.zeros(film.n_e, Quadric)
         self.gradient = film.zeros(pairs, wp.vec3)
         self.inner_gradient = film.zeros(pairs, wp.vec3) if film.features.rim else self.gradient
         self.weight = film.zeros(pairs)
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
+        self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
 
     def update(self) -> None:
         """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
         film, e, rows = self.film, self.state.e, self.lists.ee.rows
         film.launch_e(kg.orient_frames_e, [e.x, rows, film.r], [e.normal])
-        film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.base, self.fit, self.gradient])
+        film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.surface, self.kappa, self.gradient])
+        if film.features.closed:
+            film.launch_e(kg.sharpen_normal_e, [self.kappa, rows, self.gradient, film.n_e, film.r], [e.normal])
         if film.features.rim:
-            film.launch_e(kg.fit_inner_gradient_e, [e.x, self.base, rows, film.r, film.n_e], [self.inner_gradient])
+            film.launch_e(kg.fit_inner_gradient_e, [e.x, self.surface, rows, film.r, film.n_e], [self.inner_gradient])
         self.update_density()
-        film.launch_e(kg.voronoi_area_e, [e.x, e.normal, rows, film.r], [self.cell])
+        film.launch_e(
+            kg.voronoi_cell_e,
+            [e.x, e.normal, self.surface, rows, film.r],
+            [self.cell, self._flux, self._bulge],
+        )
         film.launch_e(kg.control_area_e, [e.x, self.cell, self._inner, rows, film.r, film.n_e], [self.area])
         self._weigh_pairs()
         self.measure_volume()
@@ -53,6 +59,7 @@ class Geometry:
     def set_area(self, area: wp.array) -> None:
         """Take control areas found otherwise, for a film whose E stay where they are."""
         wp.copy(self.area, area)
+        wp.copy(self.cell, area)
         self._weigh_pairs()
         self.measure_volume()
 
@@ -65,9 +72,9 @@ class Geometry:
         )
 
     def measure_volume(self) -> None:
-        """Enclosed volume (11) and area into the gas slots."""
+        """Enclosed volume (11) and area into the gas slots, over the Voronoi cells."""
         film, e = self.film, self.state.e
-        film.launch_parts(km.volume_chunks, [e.x, e.normal, self.area, film.n_e], [self._volume])
+        film.launch_parts(km.volume_chunks, [e.x, self.cell, self._flux, self._bulge, film.n_e], [self._volume])
         film.launch_one(km.store_volume, [self._volume], [self.state.gas])
 
     def update_density(self) -> None:

@@ -57,12 +57,12 @@ class Material:
 
     @property
     def film_tension(self) -> float:
-        """Sigma = sigma_0 - R T Gamma_0 of one interface at the reference concentration, N/m."""
+        """sigma = sigma_0 - R T Gamma_0 of one interface at the reference concentration, N/m."""
         return self.tension - self.rt * self.surfactant
 
     @property
     def areal_mass(self) -> float:
-        """M = rho eta_0, kg/m^2."""
+        """m = rho eta_0, kg/m^2."""
         return self.density * self.thickness
 
 

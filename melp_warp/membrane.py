@@ -230,11 +230,7 @@ class Membrane:
         film.launch_one(km.close_gas, [self.swept, film.surroundings.pressure], [self.state.gas])
 
     def close_volume(self) -> None:
-        """After the move: offset E so that volume and pressure obey the gas law, and note the volume."""
-        film, state = self.film, self.state
-        film.launch_e(
-            km.close_volume_e,
-            [state.e.normal, state.gas, film.surroundings.pressure, OFFSET_LIMIT * film.spacing],
-            [state.e.x],
-        )
-        self.geometry.measure_volume()
+        """After the move: offset E so that volume and pressure obey the gas law."""
+        film, gas = self.film, self.state.gas
+        film.launch_one(km.find_offset, [film.surroundings.pressure, OFFSET_LIMIT * film.spacing], [gas])
+        film.launch_e(km.offset_surface_e, [self.state.e.normal, gas], [self.state.e.x])

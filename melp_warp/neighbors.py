@@ -13,64 +13,78 @@ from melp_warp.launch import launch
 from melp_warp.state import State
 
 GRID_CELLS = 64
-ROOM = 1.5
+ROOM = 1.4
+"""Room of a row over the longest one when it was made."""
+
+
+def _rows(n: int, entries: int, device) -> kn.Neighbors:
+    rows = kn.Neighbors()
+    rows.start = wp.zeros(n, dtype=wp.int32, device=device)
+    rows.stop = wp.zeros(n, dtype=wp.int32, device=device)
+    rows.index = wp.zeros(entries, dtype=wp.int32, device=device)
+    return rows
 
 
 class NeighborList:
-    """One list: for each of `n` points the source points within a radius; capacity is fixed when made."""
+    """For each of `n` points the source points within a radius, in rows of a fixed room.
 
-    def __init__(self, n: int, device, same: bool):
-        self.n, self.device, self.same = n, device, int(same)
-        self.count = wp.zeros(n + 1, dtype=wp.int32, device=device)
-        self.overflow = wp.zeros(1, dtype=wp.int32, device=device)
-        self.rows = kn.Neighbors()
-        self.rows.start = wp.zeros(n + 1, dtype=wp.int32, device=device)
-        self.rows.index = wp.zeros(0, dtype=wp.int32, device=device)
+    The room is set from the particles present when it is made (reads back: at set-up only).
 
-    def _count(self, grid, x, source, radius):
-        launch(kn.count_neighbors, self.n, [grid.id, x, source, radius, self.same], [self.count], self.device)
-        wp.utils.array_scan(self.count, self.rows.start, inclusive=False)
+    Attributes:
+        rows: the list; `rows.index.shape[0]` is the size of arrays aligned with its pairs.
+    """
 
-    def allocate(self, grid, x, source, radius) -> None:
-        """Size the index array for the present particles with room to spare (reads back: at set-up only)."""
-        self._count(grid, x, source, radius)
-        self.reserve(int(ROOM * self.rows.start.numpy()[-1]) + 64)
+    def __init__(self, grid: wp.HashGrid, x: wp.array, n: int, source: wp.array, radius: float, same: bool):
+        self.n, self.device, self.radius, self.same = n, x.device, radius, int(same)
+        self.widest = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self.stride = 0
+        self.rows = _rows(n, 0, self.device)
+        self.build(grid, x, source)
+        self.stride = int(ROOM * int(self.widest.numpy()[0])) + 8
+        self.rows = _rows(n, n * self.stride, self.device)
+        self.build(grid, x, source)
 
-    def reserve(self, entries: int) -> None:
-        """Make room for so many entries."""
-        self.rows.index = wp.zeros(entries, dtype=wp.int32, device=self.device)
-
-    def build(self, grid, x, source, radius) -> None:
+    def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
-        self._count(grid, x, source, radius)
         launch(
             kn.fill_neighbors,
             self.n,
-            [grid.id, x, source, radius, self.same],
-            [self.rows, self.overflow],
+            [grid.id, x, source, self.radius, self.same, self.stride],
+            [self.rows, self.widest],
             self.device,
         )
-        launch(kn.clamp_rows, self.n + 1, [self.rows.index.shape[0]], [self.rows.start], self.device)
-
-    def transpose(self, other: NeighborList) -> None:
-        """Become the transpose of another list, without its boundary entries."""
-        self.count.zero_()
-        launch(kn.count_columns, other.n, [other.rows, self.n], [self.count], self.device)
-        wp.utils.array_scan(self.count, self.rows.start, inclusive=False)
-        launch(kn.clamp_rows, self.n + 1, [self.rows.index.shape[0]], [self.rows.start], self.device)
-        wp.copy(self.count, self.rows.start)
-        launch(kn.transpose_rows, other.n, [other.rows, self.n], [self.count, self.rows, self.overflow], self.device)
 
     @property
     def pairs(self) -> int:
         """Number of entries (reads back)."""
-        return int(self.rows.start.numpy()[-1])
+        return int((self.rows.stop.numpy() - self.rows.start.numpy()).sum())
 
     def check(self, name: str) -> None:
-        """Raise if a build ever wanted more entries than there is room for (reads back)."""
-        wanted, room = int(self.overflow.numpy()[0]), self.rows.index.shape[0]
-        if wanted > room:
-            raise SimulationError(f"neighbour list {name} needs {wanted} entries, has room for {room}: particles clump")
+        """Raise if a row ever wanted more entries than there is room for (reads back)."""
+        wanted = int(self.widest.numpy()[0])
+        if wanted > self.stride:
+            raise SimulationError(
+                f"stage neighbors: a row of list {name} has {wanted} entries, room for {self.stride}: particles clump"
+            )
+
+
+class TransposedList:
+    """The transpose of a list, boundary entries left out: for each of `n` columns the rows it occurs in."""
+
+    def __init__(self, n: int, other: NeighborList):
+        self.n, self.other = n, other
+        self.count = wp.zeros(n, dtype=wp.int32, device=other.device)
+        self.rows = _rows(n, other.rows.index.shape[0], other.device)
+        self.build()
+
+    def build(self) -> None:
+        """Transpose the other list as it is now."""
+        other, device = self.other, self.other.device
+        self.count.zero_()
+        launch(kn.count_columns, other.n, [other.rows, self.n], [self.count], device)
+        wp.utils.array_scan(self.count, self.rows.start, inclusive=False)
+        wp.copy(self.rows.stop, self.rows.start)
+        launch(kn.transpose_rows, other.n, [other.rows, self.n], [self.rows], device)
 
 
 class NeighborLists:
@@ -89,43 +103,37 @@ class NeighborLists:
         self.film, self.state = film, state
         self.skin = film.numerics.skin * film.spacing
         self.reach = film.r + self.skin
-        self.ee = NeighborList(film.n_e, film.device, same=True)
-        self.le = NeighborList(film.n_l, film.device, same=False) if film.features.lagrangian else None
-        self.el = NeighborList(film.n_e, film.device, same=False) if film.features.lagrangian else None
-        mirrored = film.features.rim and film.features.lagrangian
-        self.be = NeighborList(film.n_b, film.device, same=False) if mirrored else None
         self.mirror_reach = 2.0 * film.spacing
+        x = state.e.x
         self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device)
+        self._grid.build(x, self.reach)
+        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, same=True)
+        self.le = self.el = self.be = None
+        if state.l is not None:
+            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, same=False)
+            self.el = TransposedList(film.n_e, self.le)
+            if film.features.rim:
+                self.be = NeighborList(
+                    self._grid, film.rim.mirror, film.n_b, x, self.mirror_reach + self.skin, same=False
+                )
         self.travel = film.zeros(4)
         self._part = film.parts()
-        self.builds = [0, 0]
-        self._allocate()
-        self.rebuild()
-
-    def _allocate(self) -> None:
-        x = self.state.e.x
-        self._grid.build(x, self.reach)
-        self.ee.allocate(self._grid, x, x, self.reach)
-        if self.be is not None:
-            self.be.allocate(self._grid, self.film.rim.mirror, x, self.mirror_reach + self.skin)
-        if self.le is not None:
-            self.le.allocate(self._grid, self.state.l.x, x, self.reach)
-            self.el.reserve(self.le.rows.index.shape[0])
+        self.builds = [1, 1]
 
     def _build_e(self) -> None:
         x = self.state.e.x
         self._grid.build(x, self.reach)
-        self.ee.build(self._grid, x, x, self.reach)
+        self.ee.build(self._grid, x, x)
         if self.be is not None:
-            self.be.build(self._grid, self.film.rim.mirror, x, self.mirror_reach + self.skin)
+            self.be.build(self._grid, self.film.rim.mirror, x)
         self.film.launch_one(kn.reset_travel, [0], [self.travel])
         self.builds[0] += 1
 
     def _build_l(self) -> None:
-        x_e, x_l = self.state.e.x, self.state.l.x
-        self._grid.build(x_e, self.reach)
-        self.le.build(self._grid, x_l, x_e, self.reach)
-        self.el.transpose(self.le)
+        x = self.state.e.x
+        self._grid.build(x, self.reach)
+        self.le.build(self._grid, self.state.l.x, x)
+        self.el.build()
         self.film.launch_one(kn.reset_travel, [1], [self.travel])
         self.builds[1] += 1
 
@@ -164,7 +172,7 @@ class NeighborLists:
 
     def check(self) -> None:
         """Raise if any list overflowed (reads back: between frames)."""
-        for name in ("ee", "le", "el", "be"):
+        for name in ("ee", "le", "be"):
             one = getattr(self, name)
             if one is not None:
                 one.check(name.upper())

@@ -12,7 +12,7 @@ from melp_warp.features import Features
 from melp_warp.film import Film, RimArrays
 from melp_warp.kernels import transfer as kt
 from melp_warp.scene import Scene
-from melp_warp.state import EulerianState, LagrangianState, State, allocate
+from melp_warp.state import GAS_SLOTS, EulerianState, LagrangianState, State, allocate
 from melp_warp.stepper import Stepper
 
 RELAXATION_STEPS = 30
@@ -112,7 +112,7 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     )
     e, rim, n_b, spacing = _e_state(scene, device)
     lagrangian = _l_state(scene, e.count, device)
-    gas = wp.zeros(5, dtype=wp.float64, device=device)
+    gas = wp.zeros(len(GAS_SLOTS), dtype=wp.float64, device=device)
     state = State(e, lagrangian, gas)
     film = Film(
         device=device,
@@ -187,7 +187,7 @@ def _share_area(stepper: Stepper) -> None:
     On a film that stays where it is, the evenly placed L are the better quadrature of a_E, also at the rim. On a
     curved film the L are put on the surface and their areas scaled until those near each E add up to its own.
     """
-    film, state, transfer, geometry = stepper.film, stepper.state, stepper.transfer, stepper.geometry
+    film, transfer, geometry = stepper.film, stepper.transfer, stepper.geometry
     if not film.features.moving:
         transfer.gather()
         geometry.set_area(transfer.claim)

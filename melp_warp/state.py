@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 import warp as wp
 
-GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area")
+GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area", "offset")
 
 
 def _array(dtype):
@@ -85,7 +85,8 @@ class State:
     Attributes:
         e: Eulerian particles.
         l: Lagrangian particles, or None.
-        gas: [5] float64: volume (m^3), gauge pressure (Pa), amount n0 R T (J), last pressure increment (Pa), area (m^2).
+        gas: [6] float64, see `GAS_SLOTS`: volume (m^3), gauge pressure (Pa), amount n0 R T (J), pressure increment of
+            the last step (Pa), area (m^2), normal offset that closed the volume in the last step (m).
         time: s.
         frame: index of the last finished frame.
     """

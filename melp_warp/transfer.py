@@ -29,8 +29,8 @@ class Transfer:
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.weight = film.zeros(lists.le.rows.index.shape[0])
-        self.alpha = film.zeros(film.n_l)
-        self.offset = film.zeros(film.n_l, wp.vec3)
+        self.share, self.given = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l, wp.vec3)
+        self.slope = film.zeros(film.n_l, wp.mat33)
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
@@ -43,35 +43,24 @@ class Transfer:
 
     def gather(self) -> None:
         """The sums of (6) and (7) alone."""
-        film, e, lag = self.film, self.state.e, self.state.l
+        film, e = self.film, self.state.e
         self.normalize()
         film.launch_e(
             kt.gather_l_to_e,
-            [
-                e.x,
-                e.normal,
-                self.lists.el.rows,
-                film.r,
-                film.material.density,
-                lag.x,
-                lag.u,
-                lag.affine,
-                lag.mass,
-                lag.surfactant,
-                lag.eta,
-                self.alpha,
-                self.offset,
-            ],
+            [e.x, self.lists.el.rows, film.r, self.state.l.x, self.share, self.given, self.slope],
             [e.mass, e.surfactant, self.claim, self.momentum],
         )
 
     def normalize(self) -> None:
-        """Weights of all pairs at the present positions."""
+        """Weights of all pairs at the present positions, and what each L gives per weight."""
         film, lag = self.film, self.state.l
         film.launch_l(
             kt.normalize_l,
-            [lag.x, self.state.e.x, self.lists.le.rows, film.r, film.n_e],
-            [self.weight, self.alpha, self.offset, self.lost],
+            [
+                *(lag.x, lag.u, lag.affine, lag.mass, lag.surfactant, lag.eta),
+                *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
+            ],
+            [self.weight, self.share, self.given, self.slope, self.lost],
         )
 
     def mirror_rim(self) -> None:
