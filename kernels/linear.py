@@ -414,3 +414,17 @@ def unscale(x: wp.array(dtype=float), area: wp.array(dtype=float), y: wp.array(d
     """y = x/sqrt(area). [n]."""
     i = wp.tid()
     y[i] = x[i] / wp.sqrt(area[i])
+
+
+# The unknowns that the solver is used with: declared here, the module is compiled once, and can be ahead of time.
+for _kernel, _names in (
+    (start_residual, ("x", "b", "r", "z", "p")),
+    (apply_operator, ("x", "y")),
+    (dot_chunks, ("a", "b")),
+    (weighted_chunks, ("a", "b")),
+    (advance_solution, ("p", "q", "x", "r", "z")),
+    (advance_direction, ("z", "p")),
+    (sweep_jacobi, ("x", "b", "r", "z", "next_x")),
+):
+    for _dtype in (wp.float32, wp.vec3):
+        wp.overload(_kernel, {_name: wp.array(dtype=_dtype) for _name in _names})
