@@ -1,7 +1,7 @@
 """A flat disc of uneven thickness that the Marangoni flow evens out.
 
 MELP 2022, Figure 16: thick places hold more surfactant, whose spreading carries the liquid along until both are even.
-The drag of the air brings the film to rest.
+The drag of the air (held still 0.7 mm away on both sides) makes that a slow creep instead of a wave.
 """
 
 try:
@@ -19,7 +19,7 @@ PARAMETERS = declare(
     noise_frequency=25.0,
     noise_octaves=2,
     surfactant=1e-7,
-    drag=4e-3,
+    drag=0.05,
     e_count=1050,
     l_per_e=16,
     frames=150,

@@ -27,10 +27,11 @@ PARAMETERS = declare(
     noise_frequency=1.5,
     noise_octaves=2,
     surfactant=4e-6,
-    e_count=3025,
+    e_count=4900,
     l_per_e=16,
-    frames=240,
-    fps=30.0,
+    frames=192,
+    fps=24.0,
+    support=3.0,  # the wider the kernel, the sooner a vortex fades
 )
 
 
