@@ -24,24 +24,24 @@ def fill_neighbors(
     stride: int,
     # outputs
     rows: Neighbors,
-    widest: wp.array(dtype=wp.int32),
+    wanted: wp.array(dtype=wp.int32),
 ):
     """List the `source` points within `radius` of each x in rows of room `stride`, in one query.
 
-    What does not fit is left out; `widest` keeps the longest row wanted. `same` = 1 leaves a point out of its own row.
+    `wanted` is the length of the row asked for; what is beyond `stride` is left out. `same` = 1 leaves a point out of
+    its own row. Row starts are set beforehand.
     """
     i = wp.tid()
     p = x[i]
-    first = i * stride
+    first = rows.start[i]
     n = int(0)
     for j in wp.hash_grid_query(grid, p, radius):
         if wp.length_sq(source[j] - p) <= radius * radius and (same == 0 or j != i):
             if n < stride:
                 rows.index[first + n] = j
             n += 1
-    rows.start[i] = first
     rows.stop[i] = first + wp.min(n, stride)
-    wp.atomic_max(widest, 0, n)
+    wanted[i] = n
 
 
 @wp.kernel

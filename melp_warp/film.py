@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from melp_warp.features import Features
-from melp_warp.launch import launch
+from melp_warp.launch import launch, launch_rows
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 
@@ -87,8 +87,8 @@ class Film:
         launch(kernel, self.n_e, inputs, outputs, self.device)
 
     def launch_l(self, kernel, inputs, outputs=()) -> None:
-        """One thread an L."""
-        launch(kernel, self.n_l, inputs, outputs, self.device)
+        """One thread an L; L touch their own entries alone, so CPU cores share them."""
+        launch_rows(kernel, self.n_l, inputs, outputs, self.device)
 
     def launch_parts(self, kernel, inputs, outputs=()) -> None:
         """One thread a part of a sum."""

@@ -2,9 +2,56 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import warp as wp
+
+from melp_warp.kernels.neighbors import Neighbors
+
+THREADS = int(os.environ.get("MELP_WARP_THREADS", "0")) or os.cpu_count() or 1
+"""Threads that share a `launch_rows` on the CPU. Results do not depend on it."""
+
+ROWS_A_THREAD = 4096
+"""Fewer rows than this are not worth a thread of their own."""
+
+_pool = ThreadPoolExecutor(THREADS)
+
+
+def launch_rows(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None) -> None:
+    """Launch a kernel whose thread i touches entry i alone of every array of length `dim`, on all CPU cores.
+
+    Each thread gets its range of those arrays and of the neighbour rows; other arrays are shared. Nothing is summed
+    across threads, so the result is the same to the bit.
+    """
+    parts = min(THREADS, dim // ROWS_A_THREAD)
+    if parts < 2 or wp.get_device(device).is_cuda:
+        launch(kernel, dim, inputs, outputs, device)
+        return
+    edges = [dim * k // parts for k in range(parts + 1)]
+    kernel.module.load(wp.get_device(device))
+
+    def run(k: int) -> None:
+        first, last = edges[k], edges[k + 1]
+        cut = [[_cut(a, dim, first, last) for a in arguments] for arguments in (inputs, outputs)]
+        launch(kernel, last - first, *cut, device)
+
+    others = [_pool.submit(run, k) for k in range(1, parts)]
+    run(0)
+    for other in others:
+        other.result()
+
+
+def _cut(argument, dim: int, first: int, last: int):
+    """The range of an argument that one thread works on."""
+    if isinstance(argument, wp.array) and argument.shape[0] == dim:
+        return argument[first:last]
+    if hasattr(argument, "stop") and argument.start.shape[0] == dim:
+        rows = Neighbors()
+        rows.start, rows.stop, rows.index = argument.start[first:last], argument.stop[first:last], argument.index
+        return rows
+    return argument
 
 
 def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None) -> None:

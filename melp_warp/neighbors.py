@@ -9,7 +9,7 @@ from melp_warp.errors import SimulationError
 from melp_warp.film import Film
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import neighbors as kn
-from melp_warp.launch import launch
+from melp_warp.launch import launch, launch_rows
 from melp_warp.state import State
 
 GRID_CELLS = 64
@@ -36,21 +36,23 @@ class NeighborList:
 
     def __init__(self, grid: wp.HashGrid, x: wp.array, n: int, source: wp.array, radius: float, same: bool):
         self.n, self.device, self.radius, self.same = n, x.device, radius, int(same)
-        self.widest = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self.wanted = wp.zeros(n, dtype=wp.int32, device=self.device)
         self.stride = 0
         self.rows = _rows(n, 0, self.device)
         self.build(grid, x, source)
-        self.stride = int(ROOM * int(self.widest.numpy()[0])) + 8
+        self.stride = int(ROOM * self.wanted.numpy().max(initial=0)) + 8
         self.rows = _rows(n, n * self.stride, self.device)
+        self.rows.start.assign(self.stride * np.arange(n, dtype=np.int32))
         self.build(grid, x, source)
 
     def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
-        launch(
+        spread = launch if self.same else launch_rows
+        spread(
             kn.fill_neighbors,
             self.n,
             [grid.id, x, source, self.radius, self.same, self.stride],
-            [self.rows, self.widest],
+            [self.rows, self.wanted],
             self.device,
         )
 
@@ -61,7 +63,7 @@ class NeighborList:
 
     def check(self, name: str) -> None:
         """Raise if a row ever wanted more entries than there is room for (reads back)."""
-        wanted = int(self.widest.numpy()[0])
+        wanted = int(self.wanted.numpy().max(initial=0))
         if wanted > self.stride:
             raise SimulationError(
                 f"stage neighbors: a row of list {name} has {wanted} entries, room for {self.stride}: particles clump"

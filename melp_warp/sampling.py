@@ -83,16 +83,27 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int
     return state, arrays, n_b, spacing
 
 
-def _l_state(scene: Scene, n_e: int, device) -> LagrangianState | None:
+def spatial_order(points: np.ndarray, cell: float) -> np.ndarray:
+    """[n] order that visits points cell by cell along a Z-curve, so that neighbours lie close in memory."""
+    q = ((points - points.min(axis=0)) / cell).astype(np.uint64)
+    code = np.zeros(len(q), dtype=np.uint64)
+    for bit in range(20):
+        for axis in range(3):
+            code |= ((q[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def _l_state(scene: Scene, n_e: int, spacing: float, device) -> LagrangianState | None:
     if scene.l_per_e == 0:
         return None
     samples = scene.shape.sample(n_e * scene.l_per_e, offset=0.5)
-    count = len(samples.points)
+    order = spatial_order(samples.points, spacing)
+    count = len(order)
     state = allocate(LagrangianState, {}, count, device, count=count)
-    state.x.assign(samples.points.astype(np.float32))
-    state.normal.assign(samples.normals.astype(np.float32))
+    state.x.assign(samples.points[order].astype(np.float32))
+    state.normal.assign(samples.normals[order].astype(np.float32))
     # While areas are found, eta holds 1/area and mass holds rho: an L then claims rho/(rho eta), its area.
-    state.eta.assign((1.0 / samples.area).astype(np.float32))
+    state.eta.assign((1.0 / samples.area[order]).astype(np.float32))
     state.mass.fill_(scene.material.density)
     return state
 
@@ -111,7 +122,7 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
         "at least 1 for a flat film, which has no normal motion",
     )
     e, rim, n_b, spacing = _e_state(scene, device)
-    lagrangian = _l_state(scene, e.count, device)
+    lagrangian = _l_state(scene, e.count, spacing, device)
     gas = wp.zeros(len(GAS_SLOTS), dtype=wp.float64, device=device)
     state = State(e, lagrangian, gas)
     film = Film(
