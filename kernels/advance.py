@@ -96,10 +96,21 @@ def advance_e(
 
 
 @wp.kernel
-def advance_l(v: wp.array(dtype=wp.vec3), dt: float, x: wp.array(dtype=wp.vec3)):
-    """Move L with the material velocity. [n_l], m."""
+def advance_l(
+    v: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    end: wp.array(dtype=wp.vec3),
+    dt: float,
+    # outputs
+    x: wp.array(dtype=wp.vec3),
+):
+    """Move L with the material velocity, and with the film as a whole as E do. [n_l], m.
+
+    The velocity is that of the end of the step, when the film as a whole moves at `end`; in the step it moves at
+    `frame`. A midpoint scheme would otherwise leave the L of an accelerating bubble behind its E.
+    """
     i = wp.tid()
-    x[i] = x[i] + dt * v[i]
+    x[i] = x[i] + dt * (v[i] + frame[0] - end[0])
 
 
 @wp.kernel

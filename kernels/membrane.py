@@ -14,21 +14,65 @@ OFFSET = wp.constant(5)
 
 
 @wp.kernel
+def translation_chunks(
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    n: int,
+    # outputs
+    moment: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+    swept: wp.array(dtype=wp.vec2),
+):
+    """Parts of sum a n n and sum a (u.n) n, see `solve_translation`, and of (sum a u.n, sum a)."""
+    c = wp.tid()
+    size = (n + net.shape[0] - 1) // net.shape[0]
+    s0 = wp.mat33()
+    s1 = wp.vec3()
+    s2 = wp.vec2()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        ni = normal[i]
+        a = area[i]
+        un = wp.dot(u[i], ni)
+        s0 += a * wp.outer(ni, ni)
+        s1 += a * un * ni
+        s2 += wp.vec2(a * un, a)
+    moment[c] = s0
+    net[c] = s1
+    swept[c] = s2
+
+
+@wp.kernel
+def mean_speed(swept: wp.array(dtype=wp.vec2), swelling: wp.array(dtype=float)):
+    """Mean normal speed of the film, swelling[0], m/s."""
+    total = wp.vec2()
+    for c in range(swept.shape[0]):
+        total += swept[c]
+    swelling[0] = total[0] / total[1]
+
+
+@wp.kernel
 def predict_position_e(
     x: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    swelling: wp.array(dtype=float),
     n_e: int,
     step: float,
     # outputs
     predicted: wp.array(dtype=wp.vec3),
 ):
-    """x + theta dt u_n n for E; boundary particles stay. [n], m."""
+    """x + theta dt ((u - U).n - s) n for E, seen from the film as a whole; boundary particles stay. [n], m.
+
+    Moving along the normals alone would turn a translation U of finite length into a stretch. The mean speed s is
+    left out as well: the gas undoes it, and the tension of a bubble swollen by it would push it further.
+    """
     i = wp.tid()
     p = x[i]
     if i < n_e:
         n = normal[i]
-        p += step * wp.dot(u[i], n) * n
+        p += step * (wp.dot(u[i] - frame[0], n) - swelling[0]) * n
     predicted[i] = p
 
 
@@ -212,7 +256,7 @@ def swept_chunks(
     kappa: wp.array(dtype=float),
     change: wp.array(dtype=float),
     response: wp.array(dtype=float),
-    rigid: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
     theta: float,
     dt: float,
     n: int,
@@ -221,14 +265,14 @@ def swept_chunks(
 ):
     """Volume swept in the step as a polynomial in the pressure increment q, in parts and in float64.
 
-    A normal displacement d sweeps a (d - kappa d^2/2).
+    A normal displacement d sweeps a (d - kappa d^2/2). Motion of the film as a whole sweeps nothing and is left out.
     """
     c = wp.tid()
     size = (n + swept.shape[0] - 1) // swept.shape[0]
     total = wp.vec3d()
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         ni = normal[i]
-        d = dt * (wp.dot(u[i], ni) + theta * (change[i] + dt * wp.dot(rigid[1], ni)))
+        d = dt * (wp.dot(u[i] - frame[0], ni) + theta * change[i])
         e = dt * response[i]
         a = area[i]
         half = 0.5 * kappa[i]

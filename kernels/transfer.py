@@ -269,6 +269,8 @@ def interpolate_velocity_l(
     x_l: wp.array(dtype=wp.vec3),
     v_l: wp.array(dtype=wp.vec3),
     affine_l: wp.array(dtype=wp.mat33),
+    normal_l: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
     half_dt: float,
     x_e: wp.array(dtype=wp.vec3),
     u_e: wp.array(dtype=wp.vec3),
@@ -277,9 +279,12 @@ def interpolate_velocity_l(
     # outputs
     v_mid: wp.array(dtype=wp.vec3),
 ):
-    """Velocity half a step along the path of each L, for the second-order advance. [n_l], m/s."""
+    """Velocity half a step along the path of each L, for the second-order advance. [n_l], m/s.
+
+    The path is that along the film and relative to the film as a whole: E have not moved yet.
+    """
     i = wp.tid()
-    p = x_l[i] + half_dt * v_l[i]
+    p = x_l[i] + half_dt * tangential(v_l[i] - frame[0], normal_l[i])
     total = float(0.0)
     first = wp.vec3()
     velocity = wp.vec3()

@@ -8,6 +8,7 @@ from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import boundary as kb
+from melp_warp.kernels import membrane as km
 from melp_warp.kernels import redistribute as kr
 from melp_warp.kernels import transfer as kt
 from melp_warp.linear import ConjugateGradient, LinearOperator
@@ -27,15 +28,17 @@ class EulerianAdvance:
     """Motion of E with the surface. Made only for films whose surface moves.
 
     Attributes:
-        frame: [1] velocity of the film as a whole, m/s.
+        frame: [1] velocity of the film as a whole in this step, m/s.
+        end: [1] the same at its end; equal where the scheme moves E with the velocity of the end.
         x_old: [n] positions before the step, m.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.frame = film.zeros(1, wp.vec3)
+        self.end = film.zeros(1, wp.vec3) if film.numerics.scheme == "trapezoid" else self.frame
         self.x_old = wp.clone(state.e.x)
-        self._moment, self._net = film.parts(wp.mat33), film.parts(wp.vec3)
+        self._moment, self._net, self._mean = film.parts(wp.mat33), film.parts(wp.vec3), film.parts(wp.vec2)
         self._smoothed = film.zeros(film.n_e, wp.vec3)
 
     def advance(self, u_mid: wp.array, dt: float) -> None:
@@ -47,6 +50,13 @@ class EulerianAdvance:
                 ka.translation_chunks, [e.normal, self.geometry.area, u_mid, film.n_e], [self._moment, self._net]
             )
             film.launch_one(ka.solve_translation, [self._moment, self._net], [self.frame])
+            if self.end is not self.frame:
+                film.launch_parts(
+                    km.translation_chunks,
+                    [e.normal, self.geometry.area, e.u, film.n_e],
+                    [self._moment, self._net, self._mean],
+                )
+                film.launch_one(ka.solve_translation, [self._moment, self._net], [self.end])
         film.launch_e(
             ka.smooth_drift_e,
             [e.x, e.drift, self.lists.ee.rows, film.r, film.n_e, film.numerics.xsph],
@@ -108,22 +118,33 @@ class LagrangianAdvance:
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self._v_mid = film.zeros(film.n_l, wp.vec3) if film.numerics.l_order == 2 else None
 
-    def find_velocity(self, x_e: wp.array, dt: float) -> wp.array:
+    def find_velocity(self, x_e: wp.array, frame: wp.array, dt: float) -> wp.array:
         """Velocity to advance with: that at the particle, or half a step ahead. [n_l], m/s."""
         film, lag = self.film, self.state.l
         if self._v_mid is None:
             return lag.v
         film.launch_l(
             kt.interpolate_velocity_l,
-            [lag.x, lag.v, lag.affine, 0.5 * dt, x_e, self.state.e.u, self.lists.le.rows, film.r],
+            [
+                lag.x,
+                lag.v,
+                lag.affine,
+                lag.normal,
+                frame,
+                0.5 * dt,
+                x_e,
+                self.state.e.u,
+                self.lists.le.rows,
+                film.r,
+            ],
             [self._v_mid],
         )
         return self._v_mid
 
-    def advance(self, v: wp.array, dt: float) -> None:
-        """Move L by dt v, project them onto the surface and keep them inside the rim (Algorithm 7)."""
+    def advance(self, v: wp.array, frame: wp.array, end: wp.array, dt: float) -> None:
+        """Move L by dt (v + frame - end), project them onto the surface and keep them inside the rim (Algorithm 7)."""
         film, lag = self.film, self.state.l
-        film.launch_l(ka.advance_l, [v, dt], [lag.x])
+        film.launch_l(ka.advance_l, [v, frame, end, dt], [lag.x])
         if film.features.moving:
             self.project()
         if film.rim is not None:

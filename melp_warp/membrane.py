@@ -8,6 +8,7 @@ import warp as wp
 from melp_warp import air
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
+from melp_warp.kernels import advance as ka
 from melp_warp.kernels import membrane as km
 from melp_warp.launch import launch
 from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
@@ -133,7 +134,8 @@ class Membrane:
         n = film.n_e
         self.predicted = film.zeros(film.total, wp.vec3)
         self.force, self.external, self.u_mid = film.zeros(n), film.zeros(n), film.zeros(n)
-        self.rigid = film.zeros(2, wp.vec3)
+        self.rigid, self.frame, self.swelling = film.zeros(2, wp.vec3), film.zeros(1, wp.vec3), film.zeros(1)
+        self.mean = film.parts(wp.vec2)
         self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
         self.net, self.net_external = film.parts(wp.vec3), film.parts(wp.vec3)
         self.swept = film.parts(wp.vec3d)
@@ -192,11 +194,17 @@ class Membrane:
         )
 
     def _predict(self, ahead: float) -> None:
-        e = self.state.e
+        film, e = self.film, self.state.e
+        if film.features.closed:
+            film.launch_parts(
+                km.translation_chunks, [e.normal, self.geometry.area, e.u, film.n_e], [self.moment, self.net, self.mean]
+            )
+            film.launch_one(ka.solve_translation, [self.moment, self.net], [self.frame])
+            film.launch_one(km.mean_speed, [self.mean], [self.swelling])
         launch(
             km.predict_position_e,
-            self.film.total,
-            [e.x, e.u, e.normal, self.film.n_e, ahead],
+            film.total,
+            [e.x, e.u, e.normal, self.frame, self.swelling, film.n_e, ahead],
             [self.predicted],
             self.film.device,
         )
@@ -220,7 +228,7 @@ class Membrane:
                 self.geometry.kappa,
                 change,
                 unit,
-                self.rigid,
+                self.frame,
                 self.theta,
                 dt,
                 film.n_e,
