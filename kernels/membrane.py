@@ -86,12 +86,13 @@ def film_force_e(
     gas: wp.array(dtype=wp.float64),
     tension: float,
     slope: float,
-    g: wp.vec3,
+    body: wp.array(dtype=wp.vec3),
+    lift: wp.vec3,
     # outputs
     force: wp.array(dtype=float),
     external: wp.array(dtype=float),
 ):
-    """Normal force per area: 2 sigma kappa + p_in - p_out, and apart from it the weight m g.n.
+    """Normal force per area: 2 sigma kappa + p_in - p_out, and apart from it the outside forces m f.n.
 
     Args:
         kappa: [n_e] sum of principal curvatures, 1/m.
@@ -102,14 +103,15 @@ def film_force_e(
         gas: gas slots; gauge pressure in Pa.
         tension: sigma_0, N/m.
         slope: R T Gamma_0, N/m.
-        g: m/s^2.
+        body: [n_e] acceleration by outside forces, m/s^2.
+        lift: acceleration by the lift of a lighter gas inside, m/s^2.
         force: [n_e] internal, Pa.
         external: [n_e] Pa.
     """
     i = wp.tid()
     sigma = tension - slope * gamma[i]
     force[i] = 2.0 * sigma * kappa[i] + float(gas[GAUGE])
-    external[i] = mass[i] / area[i] * wp.dot(g, normal[i])
+    external[i] = mass[i] / area[i] * wp.dot(body[i] + lift, normal[i])
 
 
 @wp.kernel

@@ -77,7 +77,7 @@ def assemble_surfactant_e(
     rows: Neighbors,
     n_e: int,
     stiffness: float,
-    g: wp.vec3,
+    body: wp.array(dtype=wp.vec3),
     dt: float,
     # outputs
     diag: wp.array(dtype=float),
@@ -87,7 +87,8 @@ def assemble_surfactant_e(
 ):
     """Matrix and right-hand side of (14) for gamma = Gamma/Gamma_0 at the end of the step.
 
-    Flux between a pair: C_ij (gamma_j - gamma_i) - g.(x_j - x_i), C = 2 R T Gamma_0/(rho eta); none across a rim.
+    Flux between a pair: C_ij (gamma_j - gamma_i) - f.(x_j - x_i), C = 2 R T Gamma_0/(rho eta) and f the mean of
+    the two accelerations; none across a rim.
 
     Args:
         x: [n] m.
@@ -99,7 +100,7 @@ def assemble_surfactant_e(
         rows: E:E neighbours.
         n_e: number of E.
         stiffness: 2 R T Gamma_0/rho, m^3/s^2.
-        g: acceleration of gravity, m/s^2.
+        body: [n_e] acceleration by outside forces, m/s^2.
         dt: s.
         diag: [n_e].
         pair: [pairs].
@@ -108,17 +109,17 @@ def assemble_surfactant_e(
     """
     i = wp.tid()
     p = x[i]
-    body = float(0.0)
+    load = float(0.0)
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         c = float(0.0)
         if j < n_e:
             w = weight[k]
             c = dt * w * stiffness / log_mean(eta[i], eta[j])
-            body += w * wp.dot(g, x[j] - p)
+            load += w * 0.5 * wp.dot(body[i] + body[j], x[j] - p)
         pair[k] = c
     diag[i] = area[i] / (dt * gamma[i])
-    b[i] = area[i] * (1.0 / dt - dilation[i]) - dt * body
+    b[i] = area[i] * (1.0 / dt - dilation[i]) - dt * load
     start[i] = gamma[i]
 
 
@@ -132,7 +133,7 @@ def accelerate_tangential_e(
     gradient: wp.array(dtype=wp.vec3),
     n_e: int,
     stiffness: float,
-    g: wp.vec3,
+    body: wp.array(dtype=wp.vec3),
     drag: float,
     density: float,
     dt: float,
@@ -152,7 +153,7 @@ def accelerate_tangential_e(
         gradient: [pairs] gradient weights over E alone, 1/m.
         n_e: number of E.
         stiffness: 2 R T Gamma_0/rho, m^3/s^2.
-        g: m/s^2.
+        body: [n_e] acceleration by outside forces, m/s^2.
         drag: traction per speed, Pa s/m, taken implicitly.
         density: kg/m^3.
         dt: s.
@@ -164,7 +165,9 @@ def accelerate_tangential_e(
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < n_e:
-            flux = stiffness / log_mean(eta[i], eta[j]) * (gamma[j] - gamma[i]) - wp.dot(g, x[j] - p)
+            flux = stiffness / log_mean(eta[i], eta[j]) * (gamma[j] - gamma[i]) - 0.5 * wp.dot(
+                body[i] + body[j], x[j] - p
+            )
             total -= flux * gradient[k]
     n = normal[i]
     v = u[i]

@@ -7,6 +7,7 @@ import warp as wp
 
 from melp_warp import air
 from melp_warp.film import Film
+from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import membrane as km
@@ -127,8 +128,10 @@ class Membrane:
         u_mid: [n_e] normal speed that moves E in this step, m/s.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields):
-        self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
+    def __init__(
+        self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields, forces: Forces
+    ):
+        self.film, self.state, self.geometry, self.fields, self.forces = film, state, geometry, fields, forces
         self.theta = {"backward_euler": 1.0, "trapezoid": 0.5, "explicit": 1.0}[film.numerics.scheme]
         self.explicit = film.numerics.scheme == "explicit"
         n = film.n_e
@@ -163,7 +166,7 @@ class Membrane:
         film, e, m = self.film, self.state.e, self.film.material
         self._predict(ahead)
         kappa = self.geometry.curvature(self.predicted)
-        weight = wp.vec3(*[c * (1.0 - film.surroundings.lift) for c in film.surroundings.gravity])
+        lift = -film.surroundings.lift * film.gravity
         film.launch_e(
             km.film_force_e,
             [
@@ -175,7 +178,8 @@ class Membrane:
                 self.state.gas,
                 m.tension,
                 film.slope,
-                weight,
+                self.forces.body,
+                lift,
             ],
             [self.force, self.external],
         )

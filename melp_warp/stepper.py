@@ -11,6 +11,7 @@ import warp as wp
 from melp_warp.advance import EulerianAdvance, LagrangianAdvance, Redistribution
 from melp_warp.errors import SimulationError
 from melp_warp.film import Film
+from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
@@ -36,11 +37,14 @@ class Stepper:
         self.lists = NeighborLists(film, state)
         self.geometry = Geometry(film, state, self.lists)
         self.fields = Fields(film, state, self.geometry)
+        self.forces = Forces(film, state)
         self.transfer = Transfer(film, state, self.lists, self.geometry) if f.lagrangian else None
         self.tangential = (
-            Tangential(film, state, self.lists, self.geometry, self.fields, self.transfer) if f.lagrangian else None
+            Tangential(film, state, self.lists, self.geometry, self.fields, self.transfer, self.forces)
+            if f.lagrangian
+            else None
         )
-        self.membrane = Membrane(film, state, self.lists, self.geometry, self.fields) if f.moving else None
+        self.membrane = Membrane(film, state, self.lists, self.geometry, self.fields, self.forces) if f.moving else None
         self.e_advance = EulerianAdvance(film, state, self.lists, self.geometry) if f.moving else None
         shifted = f.moving and film.numerics.redistribution > 0.0
         self.redistribution = Redistribution(film, state, self.lists, self.geometry) if shifted else None
@@ -64,6 +68,7 @@ class Stepper:
             else:
                 self.film.launch_e(kt.keep_normal_e, [e.normal], [e.u])
             self.fields.update()
+            self.forces.update()
         if f.moving:
             with self._stage("membrane"):
                 self.membrane.solve(dt)  # (12), gas

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from melp_warp.film import Film
+from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import surfactant as ks
 from melp_warp.linear import ConjugateGradient, LinearOperator
@@ -91,7 +92,7 @@ class Tangential:
                 self.lists.ee.rows,
                 film.n_e,
                 film.stiffness,
-                film.gravity,
+                self.forces.body,
                 dt,
             ],
             [solver.operator.diag, solver.operator.pair, solver.b, solver.x],
@@ -112,7 +113,7 @@ class Tangential:
                 self.geometry.inner_gradient,
                 film.n_e,
                 film.stiffness,
-                film.gravity,
+                self.forces.body,
                 film.surroundings.drag,
                 film.material.density,
                 dt,
