@@ -46,9 +46,16 @@ class Tangential:
     """
 
     def __init__(
-        self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields, transfer: Transfer
+        self,
+        film: Film,
+        state: State,
+        lists: NeighborLists,
+        geometry: Geometry,
+        fields: Fields,
+        transfer: Transfer,
+        forces: Forces,
     ):
-        self.film, self.state, self.lists = film, state, lists
+        self.film, self.state, self.lists, self.forces = film, state, lists, forces
         self.geometry, self.fields, self.transfer = geometry, fields, transfer
         self.dilation = film.zeros(film.n_e)
         numerics = film.numerics

@@ -8,7 +8,7 @@ from melp_warp.kernels import geometry as kg
 from melp_warp.shapes import Ellipsoid, Rectangle, Samples, Sphere
 from tests.helpers import Jittered, Patch, fitted_order, make_rows, make_stepper, near, pairs_of, place_e
 
-COUNTS = (1000, 2000, 4000, 8000)
+COUNTS = (500, 2000, 8000, 32000)
 RADIUS = 0.05
 AXES = np.array([0.06, 0.05, 0.042])
 
@@ -53,18 +53,19 @@ def check_order(spacings, errors, name):
     assert order >= 1.8, name
 
 
-@pytest.mark.parametrize("name", CLOSED)
-def test_closed_surfaces_second_order(name, device):
+@pytest.mark.parametrize(("name", "jitter"), [("sphere", 0.15), ("ellipsoid", 0.1)])
+def test_closed_surfaces_second_order(name, jitter, device):
     """MLS curvature and normal (largest errors), area and volume converge as dx^2 on jittered points.
 
-    The quadratic fit leaves out the cubic term of the height: its slope errs by O(dx^2) and, the cubic being odd, so
-    does its second derivative at an interior point whose neighbours lie to all sides. The tangent-plane Voronoi cell
-    with chords errs by O((dx/R)^2) of its area, the volume sum a x.n/3 with it.
+    The quadratic fit leaves out the quartic term of the height, an error of O(dx^2) in its second derivative, and the
+    cubic one, which enters it only as far as neighbours lie unevenly: a remainder of O(dx) times the jitter and the
+    slope of kappa, absent on a sphere and small here (at 16,000 E it is a third of the error with 0.15 dx jitter, where
+    the order is 1.80). Cells that lie on the fitted quadric miss O(dx^2) of area and volume.
     """
     shape, exact, area, volume = CLOSED[name]
     spacings, errors = [], []
     for count in COUNTS:
-        film, s = make_stepper(Jittered(shape), count, device)
+        film, s = make_stepper(Jittered(shape, jitter), count, device)
         x = s.state.e.x.numpy().astype(np.float64)
         n, kappa = exact(x)
         spacings.append(film.spacing)
@@ -192,13 +193,14 @@ def gradient_of(stepper, f):
 
 @pytest.mark.parametrize("name", CLOSED)
 def test_gradient_of_linear_fields(name, device):
-    """grad_s (a.x) = a - (a.n) n with the refined normal n, to rounding, on curved jittered points too.
+    """grad_s (a.x) = a - (a.n) n with the normal n of the fitted slope, to rounding, on curved jittered points too.
 
     Fitting a.x gives (a.t1, a.t2) for the covariant basis t of the fitted surface, because the height's own slope comes
     from the same normal equations. The ridge 1e-6 of the Cholesky factor and float32 leave about 1e-5 |a|.
     """
     _, s = make_stepper(Jittered(CLOSED[name][0]), 2000, device)
-    x, n = s.state.e.x.numpy().astype(np.float64), s.state.e.normal.numpy().astype(np.float64)
+    x, n = s.state.e.x.numpy().astype(np.float64), s.geometry.surface.numpy()["gradient"].astype(np.float64)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
     a = np.array([0.3, -0.8, 0.5])
     error = np.linalg.norm(gradient_of(s, x @ a) - (a - np.outer(n @ a, np.ones(3)) * n), axis=1)
     print(f"{name}: largest error {error.max():.1e}")
