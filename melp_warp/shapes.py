@@ -207,6 +207,143 @@ def Ellipsoid(a: float, b: float, c: float) -> StarShaped:
     return StarShaped(radius, lambda d: 1.0 / (radius * np.linalg.norm(d / axes, axis=1)) - 1.0)
 
 
+class Revolution(Shape):
+    """An open film made by turning a profile about the y axis, held by a rim at one or both ends.
+
+    Subclasses give the profile (rho, y) at the parameter t, also a little beyond its ends.
+    """
+
+    closed = False
+    flat = False
+    span: tuple[float, float]
+    """Range of t on the film."""
+    rims: tuple[bool, bool]
+    """Whether the film ends in a rim at the first and at the last t; an end without one lies on the axis."""
+
+    @abstractmethod
+    def profile(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance from the axis and height at t, m."""
+
+    def _table(self, first: float, last: float) -> tuple[np.ndarray, ...]:
+        """t, rho, y, arc length and area up to t on a fine grid."""
+        t = np.linspace(first, last, 20001)
+        rho, y = self.profile(t)
+        arc = np.hypot(np.diff(rho), np.diff(y))
+        length = np.concatenate([[0.0], np.cumsum(arc)])
+        area = np.concatenate([[0.0], np.cumsum(np.pi * (rho[1:] + rho[:-1]) * arc)])
+        return t, rho, y, length, area
+
+    def _turn(self, t: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points, normals (to the side of growing rho) and unit tangents towards growing t."""
+        step = 1e-6 * (self.span[1] - self.span[0])
+        rho, y = self.profile(t)
+        ahead, behind = self.profile(t + step), self.profile(t - step)
+        tangent = np.stack([ahead[0] - behind[0], ahead[1] - behind[1]], axis=1)
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        c, s = np.cos(phi), np.sin(phi)
+
+        def place(radial, height):
+            return np.stack([radial * c, height, radial * s], axis=1)
+
+        sign = (
+            -1.0 if self.profile(np.array([self.span[1]]))[1][0] > self.profile(np.array([self.span[0]]))[1][0] else 1.0
+        )
+        return (
+            place(rho, y),
+            place(-sign * tangent[:, 1], sign * tangent[:, 0]),
+            place(tangent[:, 0], tangent[:, 1]),
+        )
+
+    @property
+    def area(self) -> float:
+        return float(self._table(*self.span)[-1][-1])
+
+    @property
+    def even(self) -> bool:
+        return False
+
+    def sample(self, count: int, offset: float = 0.0) -> Samples:
+        t, _, _, _, area = self._table(*self.span)
+        i = np.arange(count) + 0.5
+        points, normals, _ = self._turn(
+            np.interp(i / count * area[-1], area, t), GOLDEN_ANGLE * i + 2.0 * np.pi * offset
+        )
+        return Samples(points, normals, np.full(count, area[-1] / count))
+
+    def rim(self, spacing: float, width: float) -> Rim:
+        strips = [self._strip(end, spacing, width) for end in (0, 1) if self.rims[end]]
+        return Rim(*(np.concatenate(parts) for parts in zip(*strips, strict=True)))
+
+    def _strip(self, end: int, spacing: float, width: float) -> tuple[np.ndarray, ...]:
+        """Boundary particles beyond one end, as the fields of `Rim`."""
+        edge = self.span[end]
+        away = 1.0 if end == 1 else -1.0
+        slope = np.hypot(*(np.gradient(a)[1] for a in self.profile(edge + np.array([-1e-6, 0.0, 1e-6])))) / 1e-6
+        beyond = edge + away * 1.5 * width / slope
+        t, _, _, length, area = self._table(edge, beyond)
+        last = np.interp(width, length, area)
+        count = max(1, round(last / spacing**2))
+        at = np.interp((np.arange(count) + 0.5) / count * last, area, t)
+        phi = GOLDEN_ANGLE * np.arange(count)
+        depth = np.interp(at, t, length) if end == 1 else np.interp(-at, -t, length)
+        ti, _, _, inner, _ = self._table(edge, self.span[1 - end])
+        points, normals, _ = self._turn(at, phi)
+        anchors, _, tangents = self._turn(np.full(count, edge), phi)
+        mirror, _, _ = self._turn(np.interp(depth, inner, ti), phi)
+        return points, normals, anchors, away * tangents, mirror
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        t, rho, y, _, _ = self._table(*self.span)
+        phi = np.arctan2(points[:, 2], points[:, 0])
+        radial = np.hypot(points[:, 0], points[:, 2])
+        nearest = np.array(
+            [np.argmin((rho - a) ** 2 + (y - b) ** 2) for a, b in zip(radial, points[:, 1], strict=True)]
+        )
+        return self._turn(t[nearest], phi)[0]
+
+
+@dataclass(frozen=True)
+class Cap(Revolution):
+    """A spherical cap of `radius` (m) above a round rim in the plane y = 0, `angle` (degrees) from pole to rim."""
+
+    radius: float
+    angle: float = 90.0
+
+    rims = (False, True)
+
+    def __post_init__(self):
+        require(np.isfinite(self.radius) and self.radius > 0.0, "radius", self.radius, "a number above 0")
+        require(0.0 < self.angle <= 120.0, "angle", self.angle, "above 0 and at most 120 degrees")
+
+    @property
+    def span(self) -> tuple[float, float]:
+        return (0.0, float(np.radians(self.angle)))
+
+    def profile(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.radius * np.sin(t), self.radius * (np.cos(t) - np.cos(np.radians(self.angle)))
+
+
+@dataclass(frozen=True)
+class Catenoid(Revolution):
+    """The minimal surface rho = neck cosh(y/neck) between two round rims at y = -height/2 and height/2 (m)."""
+
+    neck: float
+    height: float
+
+    rims = (True, True)
+
+    def __post_init__(self):
+        require(np.isfinite(self.neck) and self.neck > 0.0, "neck", self.neck, "a number above 0")
+        require(np.isfinite(self.height) and self.height > 0.0, "height", self.height, "a number above 0")
+
+    @property
+    def span(self) -> tuple[float, float]:
+        return (-0.5 * self.height, 0.5 * self.height)
+
+    def profile(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.neck * np.cosh(t / self.neck), t
+
+
 @dataclass(frozen=True)
 class Disc(Shape):
     """A flat round film in the xz plane, normal +y, held by its rim.

@@ -54,7 +54,7 @@ class Simulation:
         self._snapshot = Snapshot(self.state)
         self._summary = self.film.parts(kd.vec12d)
         self._energy = self.film.parts(wp.float64)
-        self._last_dt, self._substeps = 0.0, 0
+        self._last_dt, self._step_limit, self._substeps = 0.0, 0.0, 0
 
     @property
     def time(self) -> float:
@@ -84,7 +84,8 @@ class Simulation:
         try:
             while end - self.time > 1e-9 / self.scene.fps:
                 left = end - self.time
-                self.step(left / math.ceil(left / self.largest_step() - 1e-6))
+                self._step_limit = self.largest_step()
+                self.step(left / math.ceil(left / self._step_limit - 1e-6))
                 self._substeps += 1
                 if not self.device.is_cuda:
                     self.stepper.check()
@@ -98,20 +99,27 @@ class Simulation:
         self._snapshot.save(self.state)
 
     def largest_step(self) -> float:
-        """The scene's dt, or the step in which the fastest particle of the last one moves `cfl` spacings, s."""
+        """The scene's dt, or the step in which the fastest particle of the last one moves `cfl` spacings, s.
+
+        Where the scene sets no dt, the first step is that of the fastest wave on the film and a step is at most twice
+        the one before: at the start nothing has moved yet.
+        """
         limit = 1.0 / self.scene.fps
         if self.scene.dt is not None:
             return min(limit, self.scene.dt)
         reach = self.scene.numerics.cfl * self.film.spacing
-        speed = self._relative_speed()
-        return min(limit, reach / speed) if speed > 0.0 else limit
+        if self._step_limit == 0.0:
+            return min(limit, reach / self._wave_speed())
+        speed = float(self.stepper.lists.travel.numpy()[2:].max()) / self._last_dt
+        return min(limit, 2.0 * self._step_limit, reach / speed if speed > 0.0 else limit)
 
-    def _relative_speed(self) -> float:
-        if self._last_dt == 0.0:
-            set_of = self.state.l or self.state.e
-            v = (set_of.v if self.has_l else set_of.u).numpy()[: set_of.count].astype(np.float64)
-            return float(np.sqrt(((v - v.mean(axis=0)) ** 2).sum(axis=1).max()))
-        return float(self.stepper.lists.travel.numpy()[2:].max()) / self._last_dt
+    def _wave_speed(self) -> float:
+        """Fastest wave: sqrt(2 sigma/m) where the film can move, sqrt(2 R T Gamma/m) where it is flat, m/s."""
+        m = self.scene.material
+        tension = m.film_tension if self.film.features.moving else m.rt * m.surfactant
+        particles = self.state.l or self.state.e
+        v = particles.u.numpy()[: particles.count]
+        return math.sqrt(2.0 * tension / m.areal_mass) + float(np.sqrt((v**2).sum(axis=1)).max()) + 1e-9
 
     def particles(self, which: str) -> ParticleFrame:
         """The L ("l") or E ("e") as NumPy arrays."""
