@@ -66,9 +66,11 @@ def confine_l(
         if b >= 0:
             d = p - anchors[b]
             distance = wp.length_sq(d)
-            if distance < nearest:
+            beyond = wp.dot(d, outward[b])
+            # Boundary particles beyond a corner share it as their anchor: the one that looks towards the L counts.
+            if distance < nearest or (distance == nearest and beyond > depth):
                 nearest = distance
                 across = outward[b]
-                depth = wp.dot(d, across)
+                depth = beyond
     if depth > 0.0:
         x_l[i] = p - depth * across

@@ -59,8 +59,9 @@ def test_closed_surfaces_second_order(name, jitter, device):
 
     The quadratic fit leaves out the quartic term of the height, an error of O(dx^2) in its second derivative, and the
     cubic one, which enters it only as far as neighbours lie unevenly: a remainder of O(dx) times the jitter and the
-    slope of kappa, absent on a sphere and small here (at 16,000 E it is a third of the error with 0.15 dx jitter, where
-    the order is 1.80). Cells that lie on the fitted quadric miss O(dx^2) of area and volume.
+    slope of kappa, absent on a sphere and small here (with 0.15 dx it is a third of the error at 16,000 E and the order
+    comes to 1.80). Cells that lie on the fitted quadric miss O(dx^2) of area and volume, with a factor that changes
+    with the pattern of the golden spiral: hence steps of four in the count.
     """
     shape, exact, area, volume = CLOSED[name]
     spacings, errors = [], []
