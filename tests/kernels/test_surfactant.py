@@ -1,0 +1,228 @@
+"""Surfactant equation, Marangoni force, viscosity and drag on E."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+
+from melp_warp.kernels.surfactant import log_mean
+from melp_warp.material import Material, Surroundings
+from melp_warp.shapes import Rectangle, Sphere
+from tests.helpers import Jittered, make_stepper, pairs_of
+
+WIDTH, HEIGHT = 0.2, 0.1
+LYING = Rectangle(WIDTH, HEIGHT, tilt=90.0)
+G = 9.81
+
+
+@wp.kernel
+def evaluate_log_mean(a: wp.array[float], b: wp.array[float], mean: wp.array[float]):
+    i = wp.tid()
+    mean[i] = log_mean(a[i], b[i])
+
+
+def positions(stepper):
+    return stepper.state.e.x.numpy()[: stepper.film.n_e].astype(np.float64)
+
+
+def set_velocity(stepper, function):
+    """u of E and of the boundary particles from a function of points."""
+    stepper.state.e.u.assign(function(stepper.state.e.x.numpy().astype(np.float64)).astype(np.float32))
+
+
+def dilate(stepper):
+    stepper.tangential._dilate()
+    return stepper.tangential.dilation.numpy()
+
+
+def amplitude(values, mode):
+    """Least-squares amplitude of a mode in the deviation of values from their mean."""
+    return float(values @ mode / (mode @ mode))
+
+
+def test_log_mean(device):
+    """(a - b)/log(a/b), a for a = b: within 1e-6 of float64 over ratios of 1 to 100, the series' seam included."""
+    ratio = np.concatenate(
+        [1.0 + np.geomspace(1e-7, 1.0, 200), np.geomspace(2.0, 100.0, 50), np.linspace(1.09, 1.12, 50)]
+    )
+    a = np.concatenate([4e-7 * ratio, np.full(len(ratio), 4e-7), [4e-7]]).astype(np.float32)
+    b = np.concatenate([np.full(len(ratio), 4e-7), 4e-7 * ratio, [4e-7]]).astype(np.float32)
+    mean = wp.zeros(len(a), dtype=float, device=device)
+    wp.launch(
+        evaluate_log_mean, len(a), [wp.array(v, dtype=float, device=device) for v in (a, b)], [mean], device=device
+    )
+    a, b = a.astype(np.float64), b.astype(np.float64)
+    s = (a - b) / (a + b)
+    same = np.abs(s) < 1e-12
+    exact = np.where(same, a, 0.5 * (a + b) * s / np.arctanh(np.where(same, 0.5, s)))
+    assert np.abs(mean.numpy() / exact - 1.0).max() < 1e-6
+
+
+def test_operator_is_symmetric(device):
+    """The flux of a pair enters both rows alike: pair_ij = pair_ji to rounding, none across the rim, diag above 0.
+
+    So the operator is SPD and the sum of the fluxes, that is the surfactant, is conserved.
+    """
+    film, s = make_stepper(Jittered(LYING), 800, device, l_per_e=4, thickness=lambda x: 4e-7 * (1.0 + 2.0 * x[:, 0]))
+    s.transfer.l_to_e()
+    s.fields.update()
+    s.tangential._solve_surfactant(1e-2)
+    operator = s.tangential.solver.operator
+    i, k, j = pairs_of(s.lists.ee.rows)
+    pair = operator.pair.numpy()[k]
+    assert np.all(pair[j >= film.n_e] == 0.0)
+    inner = j < film.n_e
+    dense = np.zeros((film.n_e, film.n_e))
+    dense[i[inner], j[inner]] = pair[inner]
+    assert dense.min() >= 0.0
+    assert np.abs(dense - dense.T).max() < 2e-6 * dense.max()
+    assert np.all(operator.diag.numpy() > 0.0)
+
+
+@pytest.mark.parametrize("mode", [1, 2, 4])
+@pytest.mark.parametrize("number", [0.3, 3.0])
+def test_implicit_step_of_a_mode(mode, number, device):
+    """One step from rest takes gamma = 1 + e cos(k x) to amplitude e/(1 + (dt c k)^2), c^2 = 2 R T Gamma_0/m.
+
+    (14) with u* = 0 and g = 0, linearised: (gamma' - gamma)/dt = dt c^2 lap gamma', backward Euler of the wave
+    equation. Walls let no flux pass, so cos(k x) with k = pi n/width is an eigenmode. What is compared within 2 % is
+    the operator, e/e' - 1 = (dt c k)^2, and the velocity u = dt c^2 k e' sin(k x) that (15) gives from the same gamma.
+    """
+    film, s = make_stepper(LYING, 5000, device, l_per_e=1, numerics={"tolerance": 1e-6, "max_iterations": 400})
+    x = positions(s)[:, 0] + 0.5 * WIDTH
+    k = np.pi * mode / WIDTH
+    cosine, sine = np.cos(k * x), np.sin(k * x)
+    e = 1e-3
+    eta = film.material.thickness
+    c2 = film.stiffness / eta
+    dt = number / (np.sqrt(c2) * k)
+    s.fields.eta.fill_(eta)
+    s.fields.gamma.assign((1.0 + e * cosine).astype(np.float32))
+    s.tangential.solve(dt)
+    gamma = s.tangential.solver.x.numpy()[: film.n_e].astype(np.float64)
+    after = amplitude(gamma - 1.0, cosine)
+    u = s.state.e.u.numpy()[: film.n_e].astype(np.float64)
+    speed = amplitude(u[:, 0], sine)
+    rate = (e / after - 1.0) / number**2
+    force = speed / (dt * c2 * k * after)
+    print(f"mode {mode}, dt c k {number}: operator {rate - 1.0:+.2%}, force {force - 1.0:+.2%}")
+    assert rate == pytest.approx(1.0, abs=0.02)
+    assert force == pytest.approx(1.0, abs=0.02)
+    assert np.abs(gamma.mean() - 1.0) < 1e-6
+
+
+def test_hydrostatic_film_stays_at_rest(device):
+    """eta = gamma eta_0 = eta_0 exp(-y/l), l = 2 R T Gamma_0/(rho g eta_0): every pair flux vanishes.
+
+    C_ij (gamma_j - gamma_i) = g.(x_j - x_i) exactly with the logarithmic mean in C. Rounding of eta and gamma to 6e-8
+    leaves a flux of 1e-7 of 2 R T Gamma/(rho eta) = g l, felt over a support: u <= 1e-6 g dt l/r, here 2e-5 g dt.
+    """
+    surroundings = Surroundings(gravity=(0.0, -G, 0.0))
+    film, s = make_stepper(Jittered(Rectangle(WIDTH, HEIGHT)), 1800, device, l_per_e=1, surroundings=surroundings)
+    eta = film.material.thickness
+    length = film.stiffness / (G * eta)
+    profile = np.exp(-positions(s)[:, 1] / length)
+    s.fields.eta.assign((eta * profile).astype(np.float32))
+    s.fields.gamma.assign(profile.astype(np.float32))
+    dt = 1e-2
+    s.forces.update()
+    s.tangential.solve(dt)
+    u = s.state.e.u.numpy()[: film.n_e]
+    worst = np.linalg.norm(u, axis=1).max() / (G * dt)
+    print(
+        f"length {length:.3f} m, worst {worst:.1e} g dt, change of gamma "
+        f"{np.abs(s.tangential.solver.x.numpy()[: film.n_e] / profile - 1.0).max():.1e}"
+    )
+    assert worst < 2e-5
+    assert np.abs(s.tangential.solver.x.numpy()[: film.n_e] / profile - 1.0).max() < 1e-5
+
+
+def test_even_film_falls_freely_without_surfactant(device):
+    """No surfactant, no Marangoni force: u = g dt everywhere in a vertical film, to rounding."""
+    surroundings = Surroundings(gravity=(0.0, -G, 0.0))
+    film, s = make_stepper(
+        Jittered(Rectangle(WIDTH, HEIGHT)),
+        800,
+        device,
+        l_per_e=1,
+        surroundings=surroundings,
+        material=Material(surfactant=0.0),
+    )
+    assert s.tangential.solver is None
+    s.fields.update()
+    s.forces.update()
+    s.tangential.solve(1e-2)
+    u = s.state.e.u.numpy()[: film.n_e] / (G * 1e-2)
+    assert np.abs(u - [0.0, -1.0, 0.0]).max() < 1e-4
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_dilation_of_rigid_motion(flat, device):
+    """div_s of a translation is 0 exactly, of a rotation to rounding: velocities of 1 m/s over lengths of r."""
+    film, s = make_stepper(Jittered(LYING if flat else Sphere(0.05)), 1000, device, l_per_e=1)
+    set_velocity(s, lambda x: np.tile([0.3, -0.5, 0.8], (len(x), 1)))
+    assert np.all(dilate(s) == 0.0)
+    axis = np.array([0.0, 20.0, 0.0] if flat else [8.0, -12.0, 13.0])
+    set_velocity(s, lambda x: np.cross(axis, x))
+    assert np.abs(dilate(s)).max() < 1e-5 / film.r
+
+
+def test_dilation_of_expansion(device):
+    """u = x/R has div_s u = 2/R on any surface (trace of the tangent projector); on the sphere that is u = n."""
+    radius = 0.05
+    _, s = make_stepper(Jittered(Sphere(radius)), 1000, device, l_per_e=1)
+    set_velocity(s, lambda x: x / radius)
+    assert np.abs(dilate(s) * radius / 2.0 - 1.0).max() < 3e-5
+
+
+def test_viscosity_conserves_and_damps(device):
+    """m u' - dt div(m nu grad u') = m u: momentum is kept to rounding, a shear mode shrinks by 1/(1 + dt nu k^2).
+
+    u_x = cos(k z) across the height with k = pi n/height has no stress on the walls (free slip); 2 % of the rate.
+    """
+    nu, dt, k = 1e-3, 0.5, 2.0 * np.pi / HEIGHT
+    film, s = make_stepper(
+        LYING,
+        3200,
+        device,
+        l_per_e=1,
+        material=Material(viscosity=nu),
+        numerics={"tolerance": 1e-6, "max_iterations": 400},
+    )
+    s.fields.update()
+    z = positions(s) @ LYING.axes[1] + 0.5 * HEIGHT
+    mass = s.state.e.mass.numpy().astype(np.float64)
+    set_velocity(s, lambda x: np.outer(0.2 + np.cos(k * (x @ LYING.axes[1] + 0.5 * HEIGHT)), LYING.axes[0]))
+    before = mass @ s.state.e.u.numpy()[: film.n_e].astype(np.float64)
+    s.tangential._diffuse(dt)
+    u = s.state.e.u.numpy()[: film.n_e].astype(np.float64)
+    assert np.abs(mass @ u - before).max() < 2e-6 * mass.sum()
+    mode = np.cos(k * z)
+    rate = (1.0 / amplitude(u[:, 0] - 0.2, mode) - 1.0) / (dt * nu * k * k)
+    print(f"viscous rate {rate - 1.0:+.2%} at dt nu k^2 = {dt * nu * k * k:.2f}")
+    assert rate == pytest.approx(1.0, abs=0.02)
+
+
+def test_drag_is_implicit(device):
+    """u' = u/(1 + dt drag/(rho eta)): any step is stable, and exact for backward Euler."""
+    surroundings = Surroundings(drag=1e-3)
+    film, s = make_stepper(LYING, 800, device, l_per_e=1, surroundings=surroundings, material=Material(surfactant=0.0))
+    s.fields.update()
+    set_velocity(s, lambda x: np.outer(np.ones(len(x)), LYING.axes[0]))
+    s.tangential._accelerate(1e-2)
+    eta = s.fields.eta.numpy().astype(np.float64)
+    expected = 1.0 / (1.0 + 1e-2 * 1e-3 / (film.material.density * eta))
+    assert np.abs(s.state.e.u.numpy()[: film.n_e, 0] / expected - 1.0).max() < 1e-5
+
+
+def test_fields_are_amounts_over_area(device):
+    """eta_E = V_E/a_E and gamma = c_E/(a_E Gamma_0), to rounding."""
+    film, s = make_stepper(
+        Jittered(Sphere(0.05)), 800, device, l_per_e=4, concentration=lambda x: 1e-7 * (1.0 + 5.0 * x[:, 0])
+    )
+    s.fields.update()
+    area = s.geometry.area.numpy().astype(np.float64)
+    m = dataclasses.asdict(film.material)
+    assert s.fields.eta.numpy() == pytest.approx(s.state.e.mass.numpy() / (m["density"] * area), rel=1e-6)
+    assert s.fields.gamma.numpy() == pytest.approx(s.state.e.surfactant.numpy() / (m["surfactant"] * area), rel=1e-6)
