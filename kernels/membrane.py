@@ -295,7 +295,7 @@ def close_gas(
 ):
     """Pressure increment q with (p + q) V(q) = n_0 R T at the end of the step; the gauge pressure is carried.
 
-    The part linear in q gives a quadratic with exactly one root of positive pressure and volume; two Newton steps
+    The part linear in q gives a quadratic with exactly one root of positive pressure and volume; three Newton steps
     add the curvature term.
     """
     total = wp.vec3d()
@@ -313,7 +313,7 @@ def close_gas(
         q = -wp.float64(2.0) * low / (mid + root)
     else:
         q = (root - mid) / (wp.float64(2.0) * s)
-    for _ in range(2):
+    for _ in range(3):
         volume = v + (s + total[2] * q) * q
         slope = volume + (p + q) * (s + wp.float64(2.0) * total[2] * q)
         if volume > wp.float64(0.0) and slope > wp.float64(0.0):
