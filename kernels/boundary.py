@@ -2,8 +2,9 @@
 
 import warp as wp
 
+from melp_warp.kernels.mls import Quadric, height_above
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.sph import kernel_w
+from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
 
@@ -12,6 +13,7 @@ wp.set_module_options({"enable_backward": False})
 def mirror_velocity_b(
     mirror: wp.array(dtype=wp.vec3),
     outward: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
     x_e: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     r: float,
@@ -19,11 +21,12 @@ def mirror_velocity_b(
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
-    """Velocity beyond the rim: that of the mirror point, its part across the rim reversed (free slip).
+    """Velocity beyond the rim: that of the mirror point, reversed except along the rim (free slip, no motion).
 
     Args:
         mirror: [n_b] mirror points inside the film, m.
         outward: [n_b] unit vectors across the rim.
+        normal: [n] unit normals.
         x_e: [n] m.
         rows: mirror:E neighbours.
         r: interpolation radius, m.
@@ -42,8 +45,9 @@ def mirror_velocity_b(
             v += w * u[j]
     if total > 0.0:
         v = v / total
-    o = outward[b]
-    u[n_e + b] = v - 2.0 * wp.dot(v, o) * o
+    n = normal[n_e + b]
+    o = wp.normalize(tangential(outward[b], n))
+    u[n_e + b] = v - 2.0 * (wp.dot(v, o) * o + wp.dot(v, n) * n)
 
 
 @wp.kernel
@@ -74,3 +78,60 @@ def confine_l(
                 depth = beyond
     if depth > 0.0:
         x_l[i] = p - depth * across
+
+
+@wp.kernel
+def extend_film_b(
+    anchors: wp.array(dtype=wp.vec3),
+    curvature: wp.array(dtype=wp.vec3),
+    x_e: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=Quadric),
+    rows: Neighbors,
+    r: float,
+    n_e: int,
+    # outputs
+    mirror: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+):
+    """Continue a moving film beyond its pinned rim.
+
+    The mirror point follows the film at a fixed distance s from the rim. At the rim the film does not move, so its
+    curvature there is zero: across the rim it is minus that of the rim curve along the normal, k.n. The odd
+    continuation with that curvature is 2 a - mirror - (k.n) s^2 n.
+
+    Args:
+        anchors: [n_b] nearest points a of the rim, m.
+        curvature: [n_b] curvature vectors k of the rim, 1/m.
+        x_e: [n] m.
+        surface: [n_e] fitted surfaces.
+        rows: mirror:E neighbours.
+        r: radius within which fits are averaged, m.
+        n_e: number of E; boundary particle b is entry n_e + b.
+        mirror: [n_b] mirror points, m.
+        x: [n] positions, m; the array x_e itself.
+        normal: [n] unit normals.
+    """
+    b = wp.tid()
+    p = mirror[b]
+    a = anchors[b]
+    total = float(0.0)
+    shift = wp.vec3()
+    n = wp.vec3()
+    for k in range(rows.start[b], rows.stop[b]):
+        j = rows.index[k]
+        if j < n_e:
+            d = p - x_e[j]
+            w = kernel_w(wp.length(d), r)
+            if w > 0.0:
+                q = surface[j]
+                total += w
+                shift += w * height_above(q, d) * q.normal
+                n += w * q.normal
+    if total > 0.0:
+        s = wp.length(p - a)
+        n = wp.normalize(n)
+        p = a + s * wp.normalize(p - shift / total - a)
+        mirror[b] = p
+        x[n_e + b] = 2.0 * a - p - wp.dot(curvature[b], n) * s * s * n
+        normal[n_e + b] = n

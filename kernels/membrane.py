@@ -58,22 +58,18 @@ def predict_position_e(
     normal: wp.array(dtype=wp.vec3),
     frame: wp.array(dtype=wp.vec3),
     swelling: wp.array(dtype=float),
-    n_e: int,
     step: float,
     # outputs
     predicted: wp.array(dtype=wp.vec3),
 ):
-    """x + theta dt ((u - U).n - s) n for E, seen from the film as a whole; boundary particles stay. [n], m.
+    """x + theta dt ((u - U).n - s) n, seen from the film as a whole. [n], m.
 
     Moving along the normals alone would turn a translation U of finite length into a stretch. The mean speed s is
     left out as well: the gas undoes it, and the tension of a bubble swollen by it would push it further.
     """
     i = wp.tid()
-    p = x[i]
-    if i < n_e:
-        n = normal[i]
-        p += step * (wp.dot(u[i] - frame[0], n) - swelling[0]) * n
-    predicted[i] = p
+    n = normal[i]
+    predicted[i] = x[i] + step * (wp.dot(u[i] - frame[0], n) - swelling[0]) * n
 
 
 @wp.kernel

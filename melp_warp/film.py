@@ -22,6 +22,7 @@ class RimArrays:
     anchors: wp.array
     outward: wp.array
     mirror: wp.array
+    curvature: wp.array
 
 
 @dataclass

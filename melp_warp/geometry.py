@@ -11,6 +11,13 @@ from melp_warp.kernels.mls import Quadric
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
+RIM_WEIGHT = 2.0
+"""Area of a boundary particle in the pair weights, in squared spacings.
+
+Beyond a pinned rim the film moves against the film inside, x_b = -x_mirror, where the operators hold x_b = 0: a pair
+across the rim is about twice as stiff. With 1 a large step of the implicit membrane is unstable at the rim.
+"""
+
 
 class Geometry:
     """The surface as E see it.
@@ -67,7 +74,7 @@ class Geometry:
         film = self.film
         film.launch_e(
             kg.pair_weights_e,
-            [self.state.e.x, self.area, self.lists.ee.rows, film.r, film.n_e, film.spacing**2],
+            [self.state.e.x, self.area, self.lists.ee.rows, film.r, film.n_e, RIM_WEIGHT * film.spacing**2],
             [self.weight],
         )
 

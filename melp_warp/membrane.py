@@ -14,6 +14,7 @@ from melp_warp.kernels import membrane as km
 from melp_warp.launch import launch
 from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
 from melp_warp.neighbors import NeighborLists
+from melp_warp.rim import Rim
 from melp_warp.state import State
 from melp_warp.surfactant import Fields
 
@@ -129,9 +130,17 @@ class Membrane:
     """
 
     def __init__(
-        self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields, forces: Forces
+        self,
+        film: Film,
+        state: State,
+        lists: NeighborLists,
+        geometry: Geometry,
+        fields: Fields,
+        forces: Forces,
+        rim: Rim | None,
     ):
-        self.film, self.state, self.geometry, self.fields, self.forces = film, state, geometry, fields, forces
+        self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
+        self.forces, self.rim = forces, rim
         self.theta = {"backward_euler": 1.0, "trapezoid": 0.5, "explicit": 1.0}[film.numerics.scheme]
         self.explicit = film.numerics.scheme == "explicit"
         n = film.n_e
@@ -205,10 +214,12 @@ class Membrane:
             )
             film.launch_one(ka.solve_translation, [self.moment, self.net], [self.frame])
             film.launch_one(km.mean_speed, [self.mean], [self.swelling])
+        if self.rim is not None:
+            self.rim.mirror_velocity()
         launch(
             km.predict_position_e,
             film.total,
-            [e.x, e.u, e.normal, self.frame, self.swelling, film.n_e, ahead],
+            [e.x, e.u, e.normal, self.frame, self.swelling, ahead],
             [self.predicted],
             self.film.device,
         )

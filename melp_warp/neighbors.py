@@ -114,10 +114,8 @@ class NeighborLists:
         if state.l is not None:
             self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, same=False)
             self.el = TransposedList(film.n_e, self.le)
-            if film.features.rim:
-                self.be = NeighborList(
-                    self._grid, film.rim.mirror, film.n_b, x, self.mirror_reach + self.skin, same=False
-                )
+        if film.features.rim:
+            self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, self.mirror_reach + self.skin, same=False)
         self.travel = film.zeros(4)
         self._part = film.parts()
         self.builds = [1, 1]

@@ -70,12 +70,8 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int
         n_b = len(rim.points)
         points = np.concatenate([points, rim.points])
         normals = np.concatenate([normals, rim.normals])
-        arrays = RimArrays(
-            *(
-                wp.array(a.astype(np.float32), dtype=wp.vec3, device=device)
-                for a in (rim.anchors, rim.outward, rim.mirror)
-            )
-        )
+        fields = (rim.anchors, rim.outward, rim.mirror, rim.curvature)
+        arrays = RimArrays(*(wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in fields))
     short = dict.fromkeys(("drift", "mass", "surfactant"), n_e)
     state = allocate(EulerianState, short, n_e + n_b, device, count=n_e)
     state.x.assign(points.astype(np.float32))

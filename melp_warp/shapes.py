@@ -42,6 +42,7 @@ class Rim:
         anchors: [n_b, 3] the nearest point of the rim, m.
         outward: [n_b, 3] unit vectors in the film's tangent plane, across the rim and away from the film.
         mirror: [n_b, 3] the point as far inside the rim as the particle lies outside, m.
+        curvature: [n_b, 3] curvature vector of the rim curve at the anchor, 1/m.
     """
 
     points: np.ndarray
@@ -49,6 +50,7 @@ class Rim:
     anchors: np.ndarray
     outward: np.ndarray
     mirror: np.ndarray
+    curvature: np.ndarray
 
 
 class Shape(ABC):
@@ -262,6 +264,11 @@ class Revolution(Shape):
     def even(self) -> bool:
         return False
 
+    def extent(self) -> np.ndarray:
+        _, rho, _, length, _ = self._table(*self.span)
+        across = 2.0 * rho.max() if not all(self.rims) else 2.0 * np.pi * rho.min()
+        return np.array([across, length[-1]])
+
     def sample(self, count: int, offset: float = 0.0) -> Samples:
         t, _, _, _, area = self._table(*self.span)
         i = np.arange(count) + 0.5
@@ -290,7 +297,9 @@ class Revolution(Shape):
         points, normals, _ = self._turn(at, phi)
         anchors, _, tangents = self._turn(np.full(count, edge), phi)
         mirror, _, _ = self._turn(np.interp(depth, inner, ti), phi)
-        return points, normals, anchors, away * tangents, mirror
+        axis = anchors * [1.0, 0.0, 1.0]
+        curvature = -axis / np.sum(axis**2, axis=1, keepdims=True)
+        return points, normals, anchors, away * tangents, mirror, curvature
 
     def project(self, points: np.ndarray) -> np.ndarray:
         t, rho, y, _, _ = self._table(*self.span)
@@ -382,7 +391,7 @@ class Disc(Shape):
         outward = points / rho
         mirror = outward * np.maximum(2.0 * self.radius - rho, 0.0)
         normals = np.tile([0.0, 1.0, 0.0], (len(points), 1))
-        return Rim(points, normals, outward * self.radius, outward, mirror)
+        return Rim(points, normals, outward * self.radius, outward, mirror, -outward / self.radius)
 
     def extent(self) -> np.ndarray:
         return np.full(2, 2.0 * self.radius)
@@ -444,7 +453,8 @@ class Rectangle(Shape):
         out /= np.linalg.norm(out, axis=1, keepdims=True)
         plane = self.axes[:2]
         normals = np.tile(self.axes[2], (len(p), 1))
-        return Rim(p @ plane, normals, anchors @ plane, out @ plane, (2.0 * anchors - p) @ plane)
+        straight = np.zeros_like(normals)
+        return Rim(p @ plane, normals, anchors @ plane, out @ plane, (2.0 * anchors - p) @ plane, straight)
 
     def extent(self) -> np.ndarray:
         return np.array([self.width, self.height])

@@ -17,6 +17,7 @@ from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
 from melp_warp.membrane import Membrane
 from melp_warp.neighbors import NeighborLists
+from melp_warp.rim import Rim
 from melp_warp.state import State
 from melp_warp.surfactant import Fields, Tangential
 from melp_warp.transfer import Transfer
@@ -38,13 +39,16 @@ class Stepper:
         self.geometry = Geometry(film, state, self.lists)
         self.fields = Fields(film, state, self.geometry)
         self.forces = Forces(film, state)
-        self.transfer = Transfer(film, state, self.lists, self.geometry) if f.lagrangian else None
+        self.rim = Rim(film, state, self.lists, self.geometry) if f.rim else None
+        self.transfer = Transfer(film, state, self.lists, self.geometry, self.rim) if f.lagrangian else None
         self.tangential = (
             Tangential(film, state, self.lists, self.geometry, self.fields, self.transfer, self.forces)
             if f.lagrangian
             else None
         )
-        self.membrane = Membrane(film, state, self.lists, self.geometry, self.fields, self.forces) if f.moving else None
+        self.membrane = (
+            Membrane(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim) if f.moving else None
+        )
         self.e_advance = EulerianAdvance(film, state, self.lists, self.geometry) if f.moving else None
         shifted = f.moving and film.numerics.redistribution > 0.0
         self.redistribution = Redistribution(film, state, self.lists, self.geometry) if shifted else None
@@ -83,6 +87,8 @@ class Stepper:
                 self.e_advance.advance(self.membrane.u_mid, dt)  # (19)
                 if self.redistribution is not None:
                     self.redistribution.apply(dt)  # (20)
+                if self.rim is not None:
+                    self.rim.extend()
                 self.lists.record_e(self.e_advance.x_old, self.frame, dt)
             with self._stage("geometry"):
                 self.lists.update_e()

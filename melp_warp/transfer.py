@@ -8,10 +8,9 @@ import warp as wp
 
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
-from melp_warp.kernels import boundary as kb
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import launch
 from melp_warp.neighbors import NeighborLists
+from melp_warp.rim import Rim
 from melp_warp.state import State
 
 THICKNESS_SLACK = 0.02
@@ -26,8 +25,8 @@ class Transfer:
         lost: [n_l] 1 where no E is near.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
-        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, rim: Rim | None):
+        self.film, self.state, self.lists, self.geometry, self.rim = film, state, lists, geometry, rim
         self.weight = film.zeros(lists.le.rows.index.shape[0])
         self.share, self.given = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l, wp.vec3)
         self.slope = film.zeros(film.n_l, wp.mat33)
@@ -64,17 +63,9 @@ class Transfer:
         )
 
     def mirror_rim(self) -> None:
-        """Give boundary particles the mirrored velocity of the film inside."""
-        film, rim = self.film, self.film.rim
-        if rim is None:
-            return
-        launch(
-            kb.mirror_velocity_b,
-            film.n_b,
-            [rim.mirror, rim.outward, self.state.e.x, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
-            [self.state.e.u],
-            film.device,
-        )
+        """Give boundary particles their velocity, where there are any."""
+        if self.rim is not None:
+            self.rim.mirror_velocity()
 
     def e_to_l(self, dilation: wp.array, dt: float) -> None:
         """Velocity, affine state and thickness of L from E, (16)-(18) and (8)."""
