@@ -111,9 +111,9 @@ def _count(meaning: str, low: int, high: int) -> Key:
 KEYS: Mapping[str, Key] = MappingProxyType(
     {
         # shape
-        "radius": _positive("m", "radius of the film at rest", 10.0),
-        "width": _positive("m", "width of the film", 100.0),
-        "height": _positive("m", "height of the film, along its slope", 100.0),
+        "radius": Key("m", "radius of the film at rest", 1e-4, 10.0),
+        "width": Key("m", "width of the film", 1e-4, 100.0),
+        "height": Key("m", "height of the film, along its slope", 1e-4, 100.0),
         "tilt": Key("degrees", "lean of the film: 0 vertical, 90 lying flat", -180.0, 180.0),
         "mode": _count("number n of the Legendre mode P_n of the initial shape", 2, 20),
         "amplitude": Key("-", "displacement of the initial shape, relative to radius", -0.5, 0.5),

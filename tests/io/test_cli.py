@@ -205,10 +205,10 @@ def test_picked_frames_span_the_run():
         (["run", "drainage", "--set", "radios=1"], ["unknown key 'radios'", "width"]),
         (["run", "drainage", "--set", "radius=1"], ["unknown key 'radius'"]),
         (["run", "drainage", "--set", "width"], ["--set must be key=value", "'width'"]),
-        (["run", "drainage", "--set", "width=wide"], ["width must be a number above 0", "'wide'"]),
+        (["run", "drainage", "--set", "width=wide"], ["width must be a number from 0.0001 to 100 m", "'wide'"]),
         (["run", "drainage", "--set", "width=nan"], ["width must be", "nan"]),
-        (["run", "giant_bubble", "--set", "radius=0"], ["radius must be", "above 0", "0.0"]),
-        (["run", "giant_bubble", "--set", "radius=-0.1"], ["radius must be", "above 0", "-0.1"]),
+        (["run", "giant_bubble", "--set", "radius=0"], ["radius must be", "from 0.0001", "0.0"]),
+        (["run", "giant_bubble", "--set", "radius=-0.1"], ["radius must be", "from 0.0001", "-0.1"]),
         (["run", "giant_bubble", "--set", "thickness=-1e-9"], ["thickness must be", "from 1e-09", "-1e-09"]),
         (["run", "giant_bubble", "--set", "thickness=0"], ["thickness must be", "from 1e-09", "0.0"]),
         (["run", "giant_bubble", "--set", "e_count=-3"], ["e_count must be a whole number from 1", "-3"]),
@@ -397,7 +397,8 @@ def test_scenes_name_is_a_table_of_keys(capsys):
     table = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line}
     assert table["thickness"].split()[1:3] == ["4e-07", "m"]
     assert "reference thickness" in table["thickness"]
-    assert "above 0" in table["width"]
+    assert "0.0001 to 100" in table["width"]
+    assert "above 0" in table["density"]
     assert table["air"].endswith("none | added_mass")
     assert table["dt"].split()[1] == "auto"
 

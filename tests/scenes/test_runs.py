@@ -81,6 +81,43 @@ def test_what_the_solver_refuses(arguments, words, tmp_path, capsys):
     assert not (tmp_path / "cache").exists()
 
 
+def stopped(capsys, out, *words):
+    """The run ended with one line that holds the words; its frames, numbered from 0, and the checkpoint are sound."""
+    error = capsys.readouterr().err
+    assert error.startswith("melp-warp: error: stage ")
+    assert error.count("\n") == 1
+    for word in (*words, "checkpoint.npz"):
+        assert word in error
+    assert check_cache(out) == []
+    with np.load(out / "checkpoint.npz") as checkpoint:
+        assert int(checkpoint["frame"]) == list_frames(out)[-1]
+        assert all(np.isfinite(checkpoint[name]).all() for name in checkpoint.files)
+
+
+def test_a_step_that_is_not_finite_keeps_the_last_good_frame(tmp_path, monkeypatch, capsys):
+    from melp_warp.simulation import Simulation
+
+    advance = Simulation.advance_frame
+
+    def poisoned(self):
+        if self.frame == 2:
+            u = self.state.l.u.numpy()
+            u[7] = np.nan
+            self.state.l.u.assign(u)
+        advance(self)
+
+    monkeypatch.setattr(Simulation, "advance_frame", poisoned)
+    out = tmp_path / "cache"
+    assert run("giant_bubble", out, frames=9) == 1
+    stopped(capsys, out, "particle", "not finite", "3 frames, 0 to 2")
+
+
+def test_an_unstable_scheme_stops_with_its_stage(tmp_path, capsys):
+    out = tmp_path / "cache"
+    assert run("giant_bubble", out, "scheme=explicit") == 1
+    stopped(capsys, out, "stage membrane", "1 frame, 0 to 0")
+
+
 def test_ctrl_c_as_a_user_presses_it(tmp_path):
     out = tmp_path / "cache"
     command = [sys.executable, "-m", "melp_warp", "run", "giant_bubble", "--frames", "100000", "--out", str(out)]
