@@ -39,19 +39,23 @@ def orient_frames_e(
     """
     i = wp.tid()
     p = x[i]
-    w0 = kernel_w(0.0, 3.0)
-    total = float(w0)
+    scale = 3.0 / r
+    total = kernel_w(0.0, 3.0)
     mean = wp.vec3()
-    second = wp.mat33()
-    h = r / 3.0
+    square = wp.vec3()
+    mixed = wp.vec3()
     for k in range(rows.start[i], rows.stop[i]):
-        d = (x[rows.index[k]] - p) / h
+        d = scale * (x[rows.index[k]] - p)
         w = kernel_w(wp.length(d), 3.0)
+        wd = w * d
         total += w
-        mean += w * d
-        second += w * wp.outer(d, d)
+        mean += wd
+        square += wp.cw_mul(wd, d)
+        mixed += wp.vec3(wd[1] * d[2], wd[2] * d[0], wd[0] * d[1])
     mean = mean / total
-    cov = second / total - wp.outer(mean, mean)
+    square = square / total - wp.cw_mul(mean, mean)
+    mixed = mixed / total - wp.vec3(mean[1] * mean[2], mean[2] * mean[0], mean[0] * mean[1])
+    cov = wp.mat33(square[0], mixed[2], mixed[1], mixed[2], square[1], mixed[0], mixed[1], mixed[0], square[2])
     vectors, values = wp.eig3(cov)
     least = int(0)
     for c in range(1, 3):
@@ -81,7 +85,7 @@ def write_gradient(
     gradient: wp.array(dtype=wp.vec3),
 ):
     """Write g_ij with grad_s f = sum_j (f_j - f_i) g_ij, exact for quadratics, into row i. 1/m."""
-    h = r / 3.0
+    scale = 3.0 / r
     e1, e2 = tangent_basis(n)
     # Covariant basis of the fitted surface and its inverse metric: the g of (10).
     t1 = e1 + c[0] * n
@@ -99,10 +103,11 @@ def write_gradient(
         j = rows.index[k]
         g = wp.vec3()
         if j < limit:
-            d = (x[j] - p) / h
+            d = scale * (x[j] - p)
             w = kernel_w(wp.length(d), 3.0)
-            b = quadratic_basis(wp.dot(d, e1), wp.dot(d, e2))
-            g = (w / h) * (wp.dot(y1, b) * up1 + wp.dot(y2, b) * up2)
+            if w > 0.0:
+                b = quadratic_basis(wp.dot(d, e1), wp.dot(d, e2))
+                g = (w * scale) * (wp.dot(y1, b) * up1 + wp.dot(y2, b) * up2)
         gradient[k] = g
 
 
@@ -348,16 +353,20 @@ def voronoi_cell_e(
     cell = square_cell(0.5 * r)
     count = int(4)
     reach = float(0.5) * r * r
-    for k in range(rows.start[i], rows.stop[i]):
-        d = x[rows.index[k]] - p
-        if wp.length_sq(d) < 4.0 * reach:
-            u = wp.dot(d, e1)
-            v = wp.dot(d, e2)
-            z = wp.dot(d, n)
-            cell, count = clip_cell(cell, count, u, v, 0.5 * (u * u + v * v + 0.444 * z * z))
-            reach = float(0.0)
-            for m in range(count):
-                reach = wp.max(reach, cell[0, m] * cell[0, m] + cell[1, m] * cell[1, m])
+    near = 0.2 * r * r
+    # Near neighbours first: they leave a cell so small that few of the others reach it.
+    for far in range(2):
+        for k in range(rows.start[i], rows.stop[i]):
+            d = x[rows.index[k]] - p
+            dd = wp.length_sq(d)
+            if dd < 4.0 * reach and (dd < near) == (far == 0):
+                u = wp.dot(d, e1)
+                v = wp.dot(d, e2)
+                z = wp.dot(d, n)
+                cell, count = clip_cell(cell, count, u, v, 0.5 * (u * u + v * v + 0.444 * z * z))
+                reach = float(0.0)
+                for m in range(count):
+                    reach = wp.max(reach, cell[0, m] * cell[0, m] + cell[1, m] * cell[1, m])
     flat = float(0.0)
     first = wp.vec2()
     uu = float(0.0)

@@ -73,25 +73,67 @@ def fit_height(
     Returns:
         The Cholesky factor of the normal matrix and the coefficients c.
     """
-    h = r / 3.0
+    # The normal matrix holds only the moments of w up to the fourth order.
+    scale = 3.0 / r
     e1, e2 = tangent_basis(n)
     p = x[i]
-    a = mat55()
-    rhs = vec5()
+    m20 = float(0.0)
+    m11 = float(0.0)
+    m02 = float(0.0)
+    m30 = float(0.0)
+    m21 = float(0.0)
+    m12 = float(0.0)
+    m03 = float(0.0)
+    m40 = float(0.0)
+    m31 = float(0.0)
+    m22 = float(0.0)
+    m13 = float(0.0)
+    m04 = float(0.0)
+    z1 = float(0.0)
+    z2 = float(0.0)
+    z3 = float(0.0)
+    z4 = float(0.0)
+    z5 = float(0.0)
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
-        d = (x[j] - p) / h
+        d = scale * (x[j] - p)
         w = kernel_w(wp.length(d), 3.0)
         if w > 0.0 and j < limit:
-            b = quadratic_basis(wp.dot(d, e1), wp.dot(d, e2))
+            u = wp.dot(d, e1)
+            v = wp.dot(d, e2)
             wz = w * wp.dot(d, n)
-            for c in range(5):
-                wb = w * b[c]
-                rhs[c] += wz * b[c]
-                for e in range(c + 1):
-                    a[c, e] += wb * b[e]
+            uu = u * u
+            uv = u * v
+            vv = v * v
+            z1 += wz * u
+            z2 += wz * v
+            z3 += wz * uu
+            z4 += wz * uv
+            z5 += wz * vv
+            wuu = w * uu
+            wuv = w * uv
+            wvv = w * vv
+            m20 += wuu
+            m11 += wuv
+            m02 += wvv
+            m30 += wuu * u
+            m21 += wuu * v
+            m12 += wvv * u
+            m03 += wvv * v
+            m40 += wuu * uu
+            m31 += wuu * uv
+            m22 += wuu * vv
+            m13 += wvv * uv
+            m04 += wvv * vv
+    a = mat55(
+        m20, m11, m30, m21, m12,
+        m11, m02, m21, m12, m03,
+        m30, m21, m40, m31, m22,
+        m21, m12, m31, m22, m13,
+        m12, m03, m22, m13, m04,
+    )  # fmt: skip
     low = cholesky(a)
-    return low, cholesky_solve(low, rhs)
+    return low, cholesky_solve(low, vec5(z1, z2, z3, z4, z5))
 
 
 @wp.func
