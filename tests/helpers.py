@@ -11,7 +11,7 @@ from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.numerics import Numerics
 from melp_warp.sampling import make_film
 from melp_warp.scene import Scene
-from melp_warp.shapes import Samples, Shape
+from melp_warp.shapes import Rim, Samples, Shape
 
 
 def make_stepper(shape: Shape, e_count: int, device, l_per_e: int = 0, numerics: dict | None = None, **scene):
@@ -72,6 +72,9 @@ class Patch(Shape):
 
     def sample(self, count: int, offset: float = 0.0) -> Samples:
         return self.samples
+
+    def rim(self, spacing: float, width: float) -> Rim:
+        return Rim(*(np.zeros((0, 3)) for _ in dataclasses.fields(Rim)))
 
     def extent(self) -> np.ndarray:
         return np.full(3, np.ptp(self.samples.points, axis=0).max())
