@@ -59,9 +59,13 @@ class _Solver:
         """Run the solve; the solution is left in `x`."""
         self._run()
 
-    def report(self) -> tuple[int, float]:
-        """Iterations and relative residual of the last solve (reads back: for diagnostics only)."""
-        s = self.scalar.numpy()
+    def report(self, scalar: wp.array | None = None) -> tuple[int, float]:
+        """Iterations and relative residual of the last solve (reads back: for diagnostics only).
+
+        Args:
+            scalar: a copy of `scalar` taken after an earlier solve; None for the last one.
+        """
+        s = (self.scalar if scalar is None else scalar).numpy()
         relative = float(np.sqrt(max(s[0], 0.0) / s[5])) if s[5] > 0.0 else 0.0
         return int(s[4]), relative
 

@@ -88,6 +88,7 @@ class AirResponse:
             self.low, 4.0 * (np.pi / film.spacing) ** 2, film.surroundings.air_density, film.radius
         )
         self._stiffness = -1.0
+        self._load_scalar = wp.clone(self.solver.scalar)
 
     def prepare(self, stiffness: float) -> None:
         """Set c; new partial fractions only where it changed."""
@@ -99,6 +100,7 @@ class AirResponse:
     def solve(self) -> tuple[wp.array, wp.array]:
         """As `FilmResponse.solve`."""
         self._respond(self.load)
+        wp.copy(self._load_scalar, self.solver.scalar)
         if self.film.features.closed:
             self._respond(self.unit)
         return self.load.x, self.unit.x
@@ -115,8 +117,8 @@ class AirResponse:
             wp.copy(pair.x, self.solver.x)
 
     def report(self) -> tuple[int, float]:
-        """Iterations and residual of the last solve."""
-        return self.solver.report()
+        """Iterations and residual of the last load solve."""
+        return self.solver.report(self._load_scalar)
 
 
 class Membrane:
