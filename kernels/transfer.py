@@ -111,8 +111,9 @@ def gather_l_to_e(
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         d = p - x_l[j]
-        w = kernel_w(wp.length(d), r)
-        if w > 0.0:
+        dd = wp.length_sq(d)
+        if dd < r * r:
+            w = kernel_w(wp.sqrt(dd), r)
             total += w * share[j]
             moving += w * (momentum[j] + slope[j] * d)
     mass_e[i] = total[0]
