@@ -45,12 +45,12 @@ def total(array):
     return float(array.numpy().astype(np.float64).sum())
 
 
-def check_order(spacings, errors, name):
-    """Errors fall at each refinement and as dx^1.8 at least (second-order scheme, maximum norm)."""
+def check_order(spacings, errors, name, least=1.8):
+    """Errors fall at each refinement and as dx^least at least (1.8: second-order scheme, maximum norm)."""
     order = fitted_order(spacings, errors)
     print(f"{name}: errors {', '.join(f'{e:.2e}' for e in errors)}, order {order:.2f}")
     assert np.all(np.diff(errors) < 0.0), name
-    assert order >= 1.8, name
+    assert order >= least, name
 
 
 @pytest.mark.parametrize(("name", "jitter"), [("sphere", 0.15), ("ellipsoid", 0.1)])
@@ -61,7 +61,8 @@ def test_closed_surfaces_second_order(name, jitter, device):
     cubic one, which enters it only as far as neighbours lie unevenly: a remainder of O(dx) times the jitter and the
     slope of kappa, absent on a sphere and small here (with 0.15 dx it is a third of the error at 16,000 E and the order
     comes to 1.80). Cells that lie on the fitted quadric miss O(dx^2) of area and volume, with a factor that changes
-    with the pattern of the golden spiral: hence steps of four in the count.
+    with the pattern of the golden spiral: hence steps of four in the count. Of closed films the slope is freed of its
+    cubic error: their normal is of third order (without that 2.0 on the ellipsoid).
     """
     shape, exact, area, volume = CLOSED[name]
     spacings, errors = [], []
@@ -79,7 +80,7 @@ def test_closed_surfaces_second_order(name, jitter, device):
             ]
         )
     for quantity, values in zip(("curvature", "normal", "area", "volume"), np.transpose(errors), strict=True):
-        check_order(spacings, values, f"{name} {quantity}")
+        check_order(spacings, values, f"{name} {quantity}", 2.5 if quantity == "normal" else 1.8)
 
 
 def cylinder_and_plane(count, half_length=1.6, seed=3):

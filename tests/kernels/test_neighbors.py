@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 from melp_warp.advance import PROJECTION_REACH
 from melp_warp.errors import SimulationError
@@ -81,6 +82,28 @@ def test_overflow_is_reported(device):
     assert k.max() < len(s.lists.ee.rows.index) and j.max() < 500 and len(i) > 0
     with pytest.raises(SimulationError, match="EE"):
         s.lists.check()
+
+
+def test_skin_of_opposed_motion(device):
+    """E that walk 0.2 dx at a time in random directions: the list is built anew before any pair within r is missing.
+
+    Two E may close in at twice the speed of one: a skin of 0.5 dx lasts for one such walk, not for two.
+    """
+    film, s = make_stepper(SHAPES["closed"], 500, device)
+    x = s.state.e.x.numpy().astype(np.float64)
+    way = np.random.default_rng(0).normal(size=x.shape)
+    way *= 0.2 * film.spacing / np.linalg.norm(way, axis=1, keepdims=True)
+    before = s.lists.builds[0]
+    built = []
+    for k in range(1, 7):
+        old = wp.clone(s.state.e.x)
+        s.state.e.x.assign((x + k * way).astype(np.float32))
+        s.lists.record_e(old, s.frame, 1.0)
+        s.lists.update_e()
+        now = s.state.e.x.numpy().astype(np.float64)
+        assert missing(s.lists.ee.rows, now, now, film.r, same=True) == 0
+        built.append(s.lists.builds[0] - before)
+    assert built == [0, 1, 1, 2, 2, 3]
 
 
 AIR = Surroundings(air="added_mass")
