@@ -9,6 +9,7 @@ incompressible, and the thickness is dye, a little more in the vortices than aro
 import numpy as np
 
 try:
+    from melp_warp.errors import require
     from melp_warp.noise import Perlin
     from melp_warp.parameters import Values, declare
     from melp_warp.scene import Scene
@@ -37,6 +38,7 @@ PARAMETERS = declare(
 
 def build(p: Values) -> Scene:
     """Build the scene."""
+    require(p.separation < p.width, "separation", p.separation, f"below width = {p.width:g} m")
     patches = Perlin(p.seed, p.noise_frequency, p.noise_octaves)
     centers = 0.5 * p.separation * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
 

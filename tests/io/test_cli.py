@@ -214,6 +214,7 @@ def test_picked_frames_span_the_run():
         (["run", "giant_bubble", "--set", "e_count=-3"], ["e_count must be a whole number from 1", "-3"]),
         (["run", "giant_bubble", "--set", "e_count=1.5"], ["e_count must be a whole number", "1.5"]),
         (["run", "giant_bubble", "--set", "displacement=9"], ["displacement must be", "every radius is above 0"]),
+        (["run", "taylor_vortices", "--set", "separation=5"], ["separation must be below width = 4 m", "5.0"]),
         (["run", "giant_bubble", "--set", "surfactant=1e-4"], ["surfactant must be", "below tension/(R T)"]),
         (["run", "giant_bubble", "--frames", "many"], ["frames must be a whole number", "'many'"]),
         (["run", "giant_bubble", "--frames", "-1"], ["frames must be a whole number from 0", "-1"]),
