@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import warp as wp
 
@@ -39,12 +41,13 @@ class LinearOperator:
 class _Solver:
     """What the iterative solvers share: scalars, control and the counters read back for diagnostics."""
 
-    def __init__(self, n: int, tolerance: float, max_iterations: int, device):
+    def __init__(self, n: int, tolerance: float, max_iterations: int, device, stride: int = 1):
         self.n = n
         self.device = device
+        self.stride = stride  # iterations between two looks at the residual
         self.scalar = wp.zeros(8, dtype=wp.float32, device=device)
         self.go = wp.zeros(1, dtype=wp.int32, device=device)
-        self.control = wp.array([tolerance, float(max_iterations)], dtype=wp.float32, device=device)
+        self.control = wp.array([tolerance, math.ceil(max_iterations / stride)], dtype=wp.float32, device=device)
         self.part_a = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
         self.part_b = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
         self._run = Recorded(self._body, device)
@@ -67,7 +70,7 @@ class _Solver:
         """
         s = (self.scalar if scalar is None else scalar).numpy()
         relative = float(np.sqrt(max(s[0], 0.0) / s[5])) if s[5] > 0.0 else 0.0
-        return int(s[4]), relative
+        return self.stride * int(s[4]), relative
 
 
 class ConjugateGradient(_Solver):
@@ -77,7 +80,7 @@ class ConjugateGradient(_Solver):
         operator: the matrix.
         dtype: wp.float32 or wp.vec3 unknowns.
         tolerance: stop at sqrt((r, r/A_ii)/(b, b/A_ii)) below this.
-        max_iterations: stop after this many.
+        max_iterations: stop after this many; Jacobi sweeps come in pairs.
         jacobi: relaxation factor omega of Appendix B; None for conjugate gradients.
 
     Attributes:
@@ -86,7 +89,8 @@ class ConjugateGradient(_Solver):
     """
 
     def __init__(self, operator, total, dtype, tolerance, max_iterations, jacobi: float | None = None):
-        super().__init__(operator.n, tolerance, max_iterations, operator.device)
+        stride = 1 if jacobi is None else 2
+        super().__init__(operator.n, tolerance, max_iterations, operator.device, stride)
         self.operator = operator
         self.jacobi = jacobi
         self.b, self.r, self.z, self.q = (wp.zeros(self.n, dtype=dtype, device=self.device) for _ in range(4))

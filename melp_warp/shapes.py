@@ -372,26 +372,24 @@ class Disc(Shape):
     def area(self) -> float:
         return np.pi * self.radius**2
 
-    def _spiral(self, first: int, last: int, count: int, offset: float) -> np.ndarray:
-        i = np.arange(first, last) + 0.5
+    def sample(self, count: int, offset: float = 0.0) -> Samples:
+        i = np.arange(count) + 0.5
         rho = self.radius * np.sqrt(i / count)
         phi = GOLDEN_ANGLE * i + 2.0 * np.pi * offset
-        return np.stack([rho * np.cos(phi), np.zeros_like(rho), rho * np.sin(phi)], axis=1)
-
-    def sample(self, count: int, offset: float = 0.0) -> Samples:
-        points = self._spiral(0, count, count, offset)
+        points = np.stack([rho * np.cos(phi), np.zeros_like(rho), rho * np.sin(phi)], axis=1)
         normals = np.tile([0.0, 1.0, 0.0], (count, 1))
         return Samples(points, normals, np.full(count, self.area / count))
 
     def rim(self, spacing: float, width: float) -> Rim:
-        count = max(1, round(self.area / spacing**2))
-        outer = int(np.ceil(count * (1.0 + width / self.radius) ** 2))
-        points = self._spiral(count, outer, count, 0.0)
+        """The E of that spacing near the rim, reflected in it: what crosses the rim is then mirrored exactly."""
+        points = self.sample(max(1, round(self.area / spacing**2))).points
         rho = np.linalg.norm(points, axis=1, keepdims=True)
-        outward = points / rho
-        mirror = outward * np.maximum(2.0 * self.radius - rho, 0.0)
-        normals = np.tile([0.0, 1.0, 0.0], (len(points), 1))
-        return Rim(points, normals, outward * self.radius, outward, mirror, -outward / self.radius)
+        near = rho[:, 0] > max(self.radius - width, 0.0)
+        mirror, rho = points[near], rho[near]
+        outward = mirror / rho
+        normals = np.tile([0.0, 1.0, 0.0], (len(mirror), 1))
+        beyond = outward * (2.0 * self.radius - rho)
+        return Rim(beyond, normals, outward * self.radius, outward, mirror, -outward / self.radius)
 
     def extent(self) -> np.ndarray:
         return np.full(2, 2.0 * self.radius)
