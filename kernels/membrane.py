@@ -52,6 +52,56 @@ def mean_speed(swept: wp.array(dtype=wp.vec2), swelling: wp.array(dtype=float)):
 
 
 @wp.kernel
+def momentum_chunks(
+    normal: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    added: float,
+    n: int,
+    # outputs
+    inertia: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+):
+    """Parts of sum (m + added a) n n and of the momentum sum (m + added a) u_n n, with the air's share `added`."""
+    c = wp.tid()
+    size = (n + net.shape[0] - 1) // net.shape[0]
+    s0 = wp.mat33()
+    s1 = wp.vec3()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        ni = normal[i]
+        m = mass[i] + added * area[i]
+        s0 += m * wp.outer(ni, ni)
+        s1 += m * wp.dot(u[i], ni) * ni
+    inertia[c] = s0
+    net[c] = s1
+
+
+@wp.kernel
+def hold_motion_e(
+    normal: wp.array(dtype=wp.vec3),
+    found: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+):
+    """Give the film the translation `motion`, which outside forces alone change, in place of the one found. [n_e].
+
+    Momentum is a sum over a surface that has moved since: what turning normals and the implicit stiffness make of it
+    would let a wobbling bubble swim away.
+    """
+    i = wp.tid()
+    n = normal[i]
+    u[i] = u[i] + wp.dot(motion[0] - found[0], n) * n
+
+
+@wp.kernel
+def push_motion(rigid: wp.array(dtype=wp.vec3), dt: float, motion: wp.array(dtype=wp.vec3)):
+    """motion += dt times the acceleration of the film as a whole, rigid[1]."""
+    motion[0] = motion[0] + dt * rigid[1]
+
+
+@wp.kernel
 def predict_position_e(
     x: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),

@@ -14,18 +14,28 @@ THREADS = int(os.environ.get("MELP_WARP_THREADS", "0")) or os.cpu_count() or 1
 """Threads that share a `launch_rows` on the CPU. Results do not depend on it."""
 
 ROWS_A_THREAD = 4096
-"""Fewer rows than this are not worth a thread of their own."""
+"""Fewer L than this are not worth a thread of their own."""
 
 _pool = ThreadPoolExecutor(THREADS)
 
 
-def launch_rows(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None) -> None:
+def launch_rows(
+    kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None, least: int = ROWS_A_THREAD
+) -> None:
     """Launch a kernel whose thread i touches entry i alone of every array of length `dim`, on all CPU cores.
 
     Each thread gets its range of those arrays and of the neighbour rows; other arrays are shared. Nothing is summed
     across threads, so the result is the same to the bit.
+
+    Args:
+        kernel: the kernel.
+        dim: number of threads of the kernel.
+        inputs: its arguments.
+        outputs: the arrays it writes.
+        device: where to run.
+        least: fewest rows worth a CPU thread.
     """
-    parts = min(THREADS, dim // ROWS_A_THREAD)
+    parts = min(THREADS, dim // least)
     if parts < 2 or wp.get_device(device).is_cuda:
         launch(kernel, dim, inputs, outputs, device)
         return

@@ -149,6 +149,7 @@ class Membrane:
         self.predicted = film.zeros(film.total, wp.vec3)
         self.force, self.external, self.u_mid = film.zeros(n), film.zeros(n), film.zeros(n)
         self.rigid, self.frame, self.swelling = film.zeros(2, wp.vec3), film.zeros(1, wp.vec3), film.zeros(1)
+        self.found = film.zeros(1, wp.vec3)
         self.mean = film.parts(wp.vec2)
         self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
         self.net, self.net_external = film.parts(wp.vec3), film.parts(wp.vec3)
@@ -163,15 +164,33 @@ class Membrane:
     def solve(self, dt: float) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
         ahead = 0.0 if self.explicit else self.theta * dt
+        if self.film.features.closed:
+            self._find_motion(self.found)
+            self.film.launch_e(km.hold_motion_e, [self.state.e.normal, self.found, self.state.motion], [self.state.e.u])
         self._load(ahead, dt)
         change, unit = self._respond(dt)
         if self.film.features.closed:
             self._close_gas(change, unit, dt)
+            self.film.launch_one(km.push_motion, [self.rigid, dt], [self.state.motion])
         self.film.launch_e(
             km.apply_membrane_e,
             [self.state.e.normal, change, unit, self.state.gas, self.rigid, self.theta, dt],
             [self.state.e.u, self.u_mid],
         )
+
+    def start_motion(self) -> None:
+        """Take the translation of the film at the start of a run from its velocity."""
+        if self.film.features.closed:
+            self._find_motion(self.state.motion)
+
+    def _find_motion(self, motion: wp.array) -> None:
+        film, e = self.film, self.state.e
+        film.launch_parts(
+            km.momentum_chunks,
+            [e.normal, e.mass, self.geometry.area, e.u, self.added, film.n_e],
+            [self.inertia, self.net],
+        )
+        film.launch_one(ka.solve_translation, [self.inertia, self.net], [motion])
 
     def _load(self, ahead: float, dt: float) -> None:
         film, e, m = self.film, self.state.e, self.film.material

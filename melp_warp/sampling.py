@@ -120,7 +120,7 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     e, rim, n_b, spacing = _e_state(scene, device)
     lagrangian = _l_state(scene, e.count, spacing, device)
     gas = wp.zeros(len(GAS_SLOTS), dtype=wp.float64, device=device)
-    state = State(e, lagrangian, gas)
+    state = State(e, lagrangian, gas, wp.zeros(1, dtype=wp.vec3, device=device))
     film = Film(
         device=device,
         features=features,
@@ -215,6 +215,8 @@ def _set_velocity(scene: Scene, stepper: Stepper) -> None:
         u = np.zeros((film.total, 3), dtype=np.float32)
         u[: film.n_e] = _field(scene.velocity, points, 0.0, "velocity", 3)
         state.e.u.assign(u)
+    if stepper.membrane is not None:
+        stepper.membrane.start_motion()
     if state.l is not None:
         stepper.transfer.start_l()
 

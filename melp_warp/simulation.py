@@ -48,7 +48,15 @@ class Simulation:
     def __init__(self, scene: Scene, device: str = "cpu"):
         self.scene = scene
         self.device = find_device(device)
-        self.film, self.stepper = make_film(scene, self.device)
+        try:
+            self.film, self.stepper = make_film(scene, self.device)
+        except (MemoryError, RuntimeError) as error:
+            if isinstance(error, SimulationError) or "alloc" not in str(error).lower():
+                raise
+            count = scene.e_count * (1 + scene.l_per_e)
+            raise InputError(
+                f"e_count and l_per_e must fit the memory of {self.device}, got {count:,} particles"
+            ) from None
         self.state = self.stepper.state
         self.has_l = self.state.l is not None
         self._snapshot = Snapshot(self.state)

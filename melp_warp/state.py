@@ -87,6 +87,7 @@ class State:
         l: Lagrangian particles, or None.
         gas: [6] float64, see `GAS_SLOTS`: volume (m^3), gauge pressure (Pa), amount n0 R T (J), pressure increment of
             the last step (Pa), area (m^2), normal offset that closed the volume in the last step (m).
+        motion: [1] velocity of a closed film as a whole, m/s: it changes by outside forces alone.
         time: s.
         frame: index of the last finished frame.
     """
@@ -94,6 +95,7 @@ class State:
     e: EulerianState
     l: LagrangianState | None  # noqa: E741
     gas: wp.array
+    motion: wp.array
     time: float = 0.0
     frame: int = 0
 
@@ -102,7 +104,7 @@ class State:
         named = {f"e.{k}": a for k, a in _arrays(self.e).items()}
         if self.l is not None:
             named |= {f"l.{k}": a for k, a in _arrays(self.l).items()}
-        return named | {"gas": self.gas}
+        return named | {"gas": self.gas, "motion": self.motion}
 
     def numpy(self) -> dict[str, np.ndarray]:
         """All arrays and scalars as NumPy copies, as a checkpoint stores them."""

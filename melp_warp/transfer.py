@@ -9,12 +9,16 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
+from melp_warp.launch import launch_rows
 from melp_warp.neighbors import NeighborLists
 from melp_warp.rim import Rim
 from melp_warp.state import State
 
 THICKNESS_SLACK = 0.02
 """Relative difference between eta_L and eta_E that is left alone."""
+
+E_A_THREAD = 256
+"""Fewest E worth a CPU thread where each gathers from hundreds of L."""
 
 
 class Transfer:
@@ -44,10 +48,13 @@ class Transfer:
         """The sums of (6) and (7) alone."""
         film, e = self.film, self.state.e
         self.normalize()
-        film.launch_e(
+        launch_rows(
             kt.gather_l_to_e,
-            [e.x, self.lists.el.rows, film.r, self.state.l.x, self.share, self.given, self.slope],
+            film.n_e,
+            [e.x[: film.n_e], self.lists.el.rows, film.r, self.state.l.x, self.share, self.given, self.slope],
             [e.mass, e.surfactant, self.claim, self.momentum],
+            film.device,
+            least=E_A_THREAD,
         )
 
     def normalize(self) -> None:
