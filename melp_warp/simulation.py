@@ -15,7 +15,7 @@ from melp_warp.kernels import diagnostics as kd
 from melp_warp.sampling import make_film
 from melp_warp.scene import Scene
 from melp_warp.state import Snapshot
-from melp_warp.stepper import STAGES
+from melp_warp.stepper import STAGES, Stepper
 
 
 def find_device(name: str) -> wp.Device:
@@ -100,7 +100,9 @@ class Simulation:
             self.stepper.check()
         except SimulationError as error:
             self._snapshot.restore(self.state)
-            self.stepper.reset_guard()
+            # what the stages keep between steps has seen the failure: fits, lists, first guesses
+            self.stepper = Stepper(self.film, self.state)
+            self._snapshot.restore(self.state)
             raise SimulationError(f"{error}, at {end:.4g} s in frame {self.state.frame + 1}") from None
         self.state.frame += 1
         self.state.time = end

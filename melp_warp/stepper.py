@@ -134,7 +134,3 @@ class Stepper:
             if not volume > 0.0:
                 raise SimulationError(f"stage membrane: the enclosed volume is {volume:.3g} m^3, region 0")
         self.lists.check()
-
-    def reset_guard(self) -> None:
-        """Forget a failure, after the state has been restored."""
-        self.broken.assign([0, 2**31 - 1])
