@@ -11,6 +11,7 @@ from melp_warp.kernels import boundary as kb
 from melp_warp.kernels import membrane as km
 from melp_warp.kernels import redistribute as kr
 from melp_warp.kernels import transfer as kt
+from melp_warp.launch import Shared
 from melp_warp.linear import ConjugateGradient, LinearOperator
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
@@ -132,8 +133,8 @@ class LagrangianAdvance:
                 lag.normal,
                 frame,
                 0.5 * dt,
-                x_e,
-                self.state.e.u,
+                Shared(x_e),
+                Shared(self.state.e.u),
                 self.lists.le.rows,
                 film.r,
             ],
@@ -148,13 +149,20 @@ class LagrangianAdvance:
         if film.features.moving:
             self.project()
         if film.rim is not None:
-            film.launch_l(kb.confine_l, [film.rim.anchors, film.rim.outward, self.lists.le.rows, film.n_e], [lag.x])
+            film.launch_l(
+                kb.confine_l,
+                [Shared(film.rim.anchors), Shared(film.rim.outward), self.lists.le.rows, film.n_e],
+                [lag.x],
+            )
 
     def project(self) -> None:
         """Put L on the surface through E."""
         film, e = self.film, self.state.e
         film.launch_l(
             ka.project_l,
-            [e.x, self.geometry.surface, self.lists.le.rows, PROJECTION_REACH * film.spacing, film.n_e],
+            [
+                *(Shared(e.x), Shared(self.geometry.surface)),
+                *(self.lists.le.rows, PROJECTION_REACH * film.spacing, film.n_e),
+            ],
             [self.state.l.x],
         )

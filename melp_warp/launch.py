@@ -19,13 +19,21 @@ ROWS_A_THREAD = 4096
 _pool = ThreadPoolExecutor(THREADS)
 
 
+class Shared:
+    """An argument of `launch_rows` that every thread sees whole, whatever its length."""
+
+    def __init__(self, array: wp.array):
+        self.array = array
+
+
 def launch_rows(
     kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None, least: int = ROWS_A_THREAD
 ) -> None:
     """Launch a kernel whose thread i touches entry i alone of every array of length `dim`, on all CPU cores.
 
-    Each thread gets its range of those arrays and of the neighbour rows; other arrays are shared. Nothing is summed
-    across threads, so the result is the same to the bit.
+    Each thread gets its range of those arrays and of the neighbour rows; arrays of other lengths are shared, and so
+    are those marked `Shared`. Mark every array that is read at a neighbour's index: its length may be `dim` by chance.
+    Nothing is summed across threads, so the result is the same to the bit.
 
     Args:
         kernel: the kernel.
@@ -37,7 +45,7 @@ def launch_rows(
     """
     parts = min(THREADS, dim // least)
     if parts < 2 or wp.get_device(device).is_cuda:
-        launch(kernel, dim, inputs, outputs, device)
+        launch(kernel, dim, [_whole(a) for a in inputs], outputs, device)
         return
     edges = [dim * k // parts for k in range(parts + 1)]
     kernel.module.load(wp.get_device(device))
@@ -53,8 +61,14 @@ def launch_rows(
         other.result()
 
 
+def _whole(argument):
+    return argument.array if isinstance(argument, Shared) else argument
+
+
 def _cut(argument, dim: int, first: int, last: int):
     """The range of an argument that one thread works on."""
+    if isinstance(argument, Shared):
+        return argument.array
     if isinstance(argument, wp.array) and argument.shape[0] == dim:
         return argument[first:last]
     if hasattr(argument, "stop") and argument.start.shape[0] == dim:

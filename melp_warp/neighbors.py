@@ -9,7 +9,7 @@ from melp_warp.errors import SimulationError
 from melp_warp.film import Film
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import neighbors as kn
-from melp_warp.launch import launch, launch_rows
+from melp_warp.launch import Shared, launch, launch_rows
 from melp_warp.state import State
 
 GRID_CELLS = 64
@@ -51,7 +51,7 @@ class NeighborList:
         spread(
             kn.fill_neighbors,
             self.n,
-            [grid.id, x, source, self.radius, self.same, self.stride],
+            [grid.id, x, source if self.same else Shared(source), self.radius, self.same, self.stride],
             [self.rows, self.wanted],
             self.device,
         )

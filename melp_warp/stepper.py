@@ -15,6 +15,7 @@ from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
+from melp_warp.launch import launch
 from melp_warp.membrane import Membrane
 from melp_warp.neighbors import NeighborLists
 from melp_warp.rim import Rim
@@ -114,7 +115,7 @@ class Stepper:
         number = STAGES.index(name) + 1
         e, lagrangian = self.state.e, self.state.l
         if name in ("e_to_l", "advance_l"):
-            self.film.launch_l(kd.find_broken, [lagrangian.x, lagrangian.v, number], [self.broken])
+            launch(kd.find_broken, self.film.n_l, [lagrangian.x, lagrangian.v, number], [self.broken], self.film.device)
         elif name != "neighbors":
             self.film.launch_e(kd.find_broken, [e.x, e.u, number], [self.broken])
 

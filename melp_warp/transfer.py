@@ -9,7 +9,7 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import launch_rows
+from melp_warp.launch import Shared, launch_rows
 from melp_warp.neighbors import NeighborLists
 from melp_warp.rim import Rim
 from melp_warp.state import State
@@ -51,7 +51,10 @@ class Transfer:
         launch_rows(
             kt.gather_l_to_e,
             film.n_e,
-            [e.x[: film.n_e], self.lists.el.rows, film.r, self.state.l.x, self.share, self.given, self.slope],
+            [
+                *(e.x[: film.n_e], self.lists.el.rows, film.r),
+                *map(Shared, (self.state.l.x, self.share, self.given, self.slope)),
+            ],
             [e.mass, e.surfactant, self.claim, self.momentum],
             film.device,
             least=E_A_THREAD,
@@ -64,7 +67,7 @@ class Transfer:
             kt.normalize_l,
             [
                 *(lag.x, lag.u, lag.affine, lag.mass, lag.surfactant, lag.eta),
-                *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
+                *(Shared(self.state.e.x), self.lists.le.rows, film.r, film.n_e, film.material.density),
             ],
             [self.weight, self.share, self.given, self.slope, self.lost],
         )
@@ -98,6 +101,9 @@ class Transfer:
         film, e, lag = self.film, self.state.e, self.state.l
         film.launch_l(
             kt.gather_e_to_l,
-            [lag.x, e.x, e.u, e.normal, self.growth, self.weight, self.lists.le.rows, film.n_e],
+            [
+                *(lag.x, *map(Shared, (e.x, e.u, e.normal, self.growth, self.weight))),
+                *(self.lists.le.rows, film.n_e),
+            ],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],
         )
