@@ -97,8 +97,8 @@ def hold_motion_e(
 
 @wp.kernel
 def push_motion(rigid: wp.array(dtype=wp.vec3), dt: float, motion: wp.array(dtype=wp.vec3)):
-    """motion += dt times the acceleration of the film as a whole, rigid[1]."""
-    motion[0] = motion[0] + dt * rigid[1]
+    """motion += dt times the acceleration of the film as a whole, rigid[2]."""
+    motion[0] = motion[0] + dt * rigid[2]
 
 
 @wp.kernel
@@ -133,7 +133,6 @@ def film_force_e(
     tension: float,
     slope: float,
     body: wp.array(dtype=wp.vec3),
-    lift: wp.vec3,
     # outputs
     force: wp.array(dtype=float),
     external: wp.array(dtype=float),
@@ -150,14 +149,13 @@ def film_force_e(
         tension: sigma_0, N/m.
         slope: R T Gamma_0, N/m.
         body: [n_e] acceleration by outside forces, m/s^2.
-        lift: acceleration by the lift of a lighter gas inside, m/s^2.
         force: [n_e] internal, Pa.
         external: [n_e] Pa.
     """
     i = wp.tid()
     sigma = tension - slope * gamma[i]
     force[i] = 2.0 * sigma * kappa[i] + float(gas[GAUGE])
-    external[i] = mass[i] / area[i] * wp.dot(body[i] + lift, normal[i])
+    external[i] = mass[i] / area[i] * wp.dot(body[i], normal[i])
 
 
 @wp.kernel
@@ -167,6 +165,8 @@ def net_force_chunks(
     normal: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=float),
     area: wp.array(dtype=float),
+    body: wp.array(dtype=wp.vec3),
+    lift: float,
     added: float,
     n: int,
     # outputs
@@ -174,8 +174,9 @@ def net_force_chunks(
     inertia: wp.array(dtype=wp.mat33),
     net: wp.array(dtype=wp.vec3),
     net_external: wp.array(dtype=wp.vec3),
+    lifted: wp.array(dtype=wp.vec3),
 ):
-    """Sums over the film of a n n, a m n n, a f n and a f_ext n, in parts.
+    """Sums over the film of a n n, a m n n, a f n, a f_ext n and of the gas's lift, in parts.
 
     Args:
         force: [n_e] Pa.
@@ -183,12 +184,15 @@ def net_force_chunks(
         normal: [n] unit normals.
         mass: [n_e] kg.
         area: [n_e] m^2.
+        body: [n_e] acceleration by outside forces, m/s^2.
+        lift: share of the weight that the gas carries.
         added: mass per area that the air adds to rigid translation, kg/m^2.
         n: number of E.
         moment: parts of sum a n n.
         inertia: parts of sum (a m + a added) n n.
         net: parts of sum a f n.
         net_external: parts of sum a f_ext n.
+        lifted: parts of -sum lift m body.
     """
     c = wp.tid()
     size = (n + net.shape[0] - 1) // net.shape[0]
@@ -196,6 +200,7 @@ def net_force_chunks(
     s1 = wp.mat33()
     s2 = wp.vec3()
     s3 = wp.vec3()
+    s4 = wp.vec3()
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         ni = normal[i]
         nn = area[i] * wp.outer(ni, ni)
@@ -203,10 +208,12 @@ def net_force_chunks(
         s1 += (mass[i] / area[i] + added) * nn
         s2 += area[i] * force[i] * ni
         s3 += area[i] * external[i] * ni
+        s4 -= lift * mass[i] * body[i]
     moment[c] = s0
     inertia[c] = s1
     net[c] = s2
     net_external[c] = s3
+    lifted[c] = s4
 
 
 @wp.kernel
@@ -215,21 +222,36 @@ def rigid_motion(
     inertia: wp.array(dtype=wp.mat33),
     net: wp.array(dtype=wp.vec3),
     net_external: wp.array(dtype=wp.vec3),
+    lifted: wp.array(dtype=wp.vec3),
     # outputs
     rigid: wp.array(dtype=wp.vec3),
 ):
-    """rigid[0] = (sum a n n)^-1 sum a f n, rigid[1] = acceleration (sum a m n n)^-1 sum a f_ext n."""
+    """What moves the film as a whole, from the sums of `net_force_chunks`.
+
+    Args:
+        moment: parts, as the next four.
+        inertia: parts.
+        net: parts.
+        net_external: parts.
+        lifted: parts.
+        rigid: [0] and [1], forces per area p.n that carry the sum of f and the lift (Pa); [2], the acceleration
+            (sum a m n n)^-1 (sum a f_ext n + lift), m/s^2.
+    """
     s0 = wp.mat33()
     s1 = wp.mat33()
     s2 = wp.vec3()
     s3 = wp.vec3()
+    s4 = wp.vec3()
     for c in range(net.shape[0]):
         s0 += moment[c]
         s1 += inertia[c]
         s2 += net[c]
         s3 += net_external[c]
-    rigid[0] = wp.inverse(s0) * s2
-    rigid[1] = wp.inverse(s1) * s3
+        s4 += lifted[c]
+    inverse = wp.inverse(s0)
+    rigid[0] = inverse * s2
+    rigid[1] = inverse * s4
+    rigid[2] = wp.inverse(s1) * (s3 + s4)
 
 
 @wp.kernel
@@ -249,8 +271,9 @@ def load_membrane_e(
 ):
     """Load dt a f on each E, freed of what moves the film as a whole.
 
-    Forces inside a closed film add up to nothing; what their discrete sum leaves is taken out, and what the
-    external forces do to the film as a whole is `rigid[1]`, an acceleration that costs no surface.
+    Tension and pressure add up to nothing on a closed film, but for what undoes the tangential forces of uneven tension
+    (`recoil`): their discrete sum is taken out. What outside forces do to the film as a whole is the acceleration
+    `rigid[2]`, which costs no surface.
 
     Args:
         force: [n_e] Pa.
@@ -268,7 +291,7 @@ def load_membrane_e(
     i = wp.tid()
     n = normal[i]
     inside = force[i] - wp.dot(rigid[0], n)
-    outside = external[i] - (mass[i] / area[i] + added) * wp.dot(rigid[1], n)
+    outside = external[i] + wp.dot(rigid[1], n) - (mass[i] / area[i] + added) * wp.dot(rigid[2], n)
     b[i] = dt * area[i] * (inside + outside)
     unit[i] = dt * area[i]
     diag[i] = mass[i]
@@ -397,7 +420,7 @@ def apply_membrane_e(
     i = wp.tid()
     n = normal[i]
     q = float(gas[INCREMENT])
-    delta = change[i] + dt * wp.dot(rigid[1], n)
+    delta = change[i] + dt * wp.dot(rigid[2], n)
     push = q * response[i]
     u_mid[i] = wp.dot(u[i], n) + theta * delta + push
     u[i] = u[i] + (delta + push) * n
@@ -461,3 +484,55 @@ def offset_surface_e(normal: wp.array(dtype=wp.vec3), gas: wp.array(dtype=wp.flo
     """Move E along their normals by the offset in the gas slots. [n_e], m."""
     i = wp.tid()
     x[i] = x[i] + float(gas[OFFSET]) * normal[i]
+
+
+@wp.kernel
+def traction_chunks(
+    traction: wp.array(dtype=wp.vec3), area: wp.array(dtype=float), n: int, net: wp.array(dtype=wp.vec3)
+):
+    """Parts of the sum of a traction, N."""
+    c = wp.tid()
+    size = (n + net.shape[0] - 1) // net.shape[0]
+    total = wp.vec3()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += area[i] * traction[i]
+    net[c] = total
+
+
+@wp.kernel
+def recoil(
+    inertia: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+    dt: float,
+    # outputs
+    kick: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+):
+    """Translation that undoes the tangential impulse of uneven tension: the tension of a closed film is an inner force.
+
+    The integral of 2 sigma kappa n + 2 grad_s sigma over a closed surface is zero.
+    """
+    s0 = wp.mat33()
+    s1 = wp.vec3()
+    for c in range(net.shape[0]):
+        s0 += inertia[c]
+        s1 += net[c]
+    kick[0] = -dt * (wp.inverse(s0) * s1)
+    motion[0] = motion[0] + kick[0]
+
+
+@wp.kernel
+def apply_recoil_e(
+    normal: wp.array(dtype=wp.vec3),
+    kick: wp.array(dtype=wp.vec3),
+    theta: float,
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+):
+    """Add the translation of `recoil` to the normal velocity. [n_e], m/s."""
+    i = wp.tid()
+    n = normal[i]
+    k = wp.dot(kick[0], n)
+    u[i] = u[i] + k * n
+    u_mid[i] = u_mid[i] + theta * k

@@ -139,6 +139,7 @@ def accelerate_tangential_e(
     dt: float,
     # outputs
     u: wp.array(dtype=wp.vec3),
+    traction: wp.array(dtype=wp.vec3),
 ):
     """u^T after Marangoni force, gravity and air drag, (15) from the same pair fluxes as (14).
 
@@ -158,21 +159,26 @@ def accelerate_tangential_e(
         density: kg/m^3.
         dt: s.
         u: [n] m/s.
+        traction: [n_e] tangential force of uneven tension, 2 grad_s sigma, Pa; null where nobody asks.
     """
     i = wp.tid()
     p = x[i]
-    total = wp.vec3()
+    n = normal[i]
+    spread = wp.vec3()
+    fall = wp.vec3()
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < n_e:
-            flux = stiffness / log_mean(eta[i], eta[j]) * (gamma[j] - gamma[i]) - 0.5 * wp.dot(
-                body[i] + body[j], x[j] - p
-            )
-            total -= flux * gradient[k]
-    n = normal[i]
+            flux = stiffness / log_mean(eta[i], eta[j]) * (gamma[j] - gamma[i])
+            pull = 0.5 * wp.dot(body[i] + body[j], x[j] - p)
+            spread -= flux * gradient[k]
+            fall -= (flux - pull) * gradient[k]
+    m = density * eta[i]
+    if traction:
+        traction[i] = m * tangential(spread, n)
     v = u[i]
     un = wp.dot(v, n)
-    ut = tangential(v + dt * total, n) / (1.0 + dt * drag / (density * eta[i]))
+    ut = tangential(v + dt * fall, n) / (1.0 + dt * drag / m)
     u[i] = ut + un * n
 
 

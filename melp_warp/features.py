@@ -18,6 +18,7 @@ class Features:
         rim: there are boundary particles.
         marangoni: there is surfactant, so (14) is solved.
         viscous: in-plane viscosity.
+        recoils: the film is closed and its uneven tension pushes liquid along it, so it moves the other way.
         air: the air's added mass takes part in the normal motion.
     """
 
@@ -27,6 +28,7 @@ class Features:
     rim: bool
     marangoni: bool
     viscous: bool
+    recoils: bool
     air: bool
 
     @classmethod
@@ -34,12 +36,14 @@ class Features:
         """Derive the features of a scene."""
         lagrangian = scene.l_per_e > 0
         moving = not scene.shape.flat
+        marangoni = lagrangian and scene.material.surfactant > 0.0
         return cls(
             closed=scene.shape.closed,
             moving=moving,
             lagrangian=lagrangian,
             rim=not scene.shape.closed,
-            marangoni=lagrangian and scene.material.surfactant > 0.0,
+            marangoni=marangoni,
+            recoils=marangoni and scene.shape.closed,
             viscous=lagrangian and scene.material.viscosity > 0.0,
             air=moving and scene.surroundings.air == "added_mass",
         )

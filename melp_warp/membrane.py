@@ -148,8 +148,9 @@ class Membrane:
         n = film.n_e
         self.predicted = film.zeros(film.total, wp.vec3)
         self.force, self.external, self.u_mid = film.zeros(n), film.zeros(n), film.zeros(n)
-        self.rigid, self.frame, self.swelling = film.zeros(2, wp.vec3), film.zeros(1, wp.vec3), film.zeros(1)
+        self.rigid, self.frame, self.swelling = film.zeros(3, wp.vec3), film.zeros(1, wp.vec3), film.zeros(1)
         self.found = film.zeros(1, wp.vec3)
+        self.lifted = film.parts(wp.vec3)
         self.mean = film.parts(wp.vec2)
         self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
         self.net, self.net_external = film.parts(wp.vec3), film.parts(wp.vec3)
@@ -196,7 +197,6 @@ class Membrane:
         film, e, m = self.film, self.state.e, self.film.material
         self._predict(ahead)
         kappa = self.geometry.curvature(self.predicted)
-        lift = -film.surroundings.lift * film.gravity
         film.launch_e(
             km.film_force_e,
             [
@@ -209,18 +209,18 @@ class Membrane:
                 m.tension,
                 film.slope,
                 self.forces.body,
-                lift,
             ],
             [self.force, self.external],
         )
         common = [self.force, self.external, e.normal, e.mass, self.geometry.area]
         if film.features.closed:
+            sums = [self.moment, self.inertia, self.net, self.net_external, self.lifted]
             film.launch_parts(
                 km.net_force_chunks,
-                [*common, self.added, film.n_e],
-                [self.moment, self.inertia, self.net, self.net_external],
+                [*common, self.forces.body, film.surroundings.lift, self.added, film.n_e],
+                sums,
             )
-            film.launch_one(km.rigid_motion, [self.moment, self.inertia, self.net, self.net_external], [self.rigid])
+            film.launch_one(km.rigid_motion, sums, [self.rigid])
         film.launch_e(
             km.load_membrane_e,
             [*common, self.rigid, self.added, dt],
@@ -272,6 +272,13 @@ class Membrane:
             [self.swept],
         )
         film.launch_one(km.close_gas, [self.swept, film.surroundings.pressure], [self.state.gas])
+
+    def recoil(self, traction: wp.array, dt: float) -> None:
+        """Move a closed film as a whole against the sum of the tangential forces of its tension."""
+        film, e = self.film, self.state.e
+        film.launch_parts(km.traction_chunks, [traction, self.geometry.area, film.n_e], [self.net])
+        film.launch_one(km.recoil, [self.inertia, self.net, dt], [self.found, self.state.motion])
+        film.launch_e(km.apply_recoil_e, [e.normal, self.found, self.theta], [e.u, self.u_mid])
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""

@@ -42,13 +42,13 @@ class Stepper:
         self.forces = Forces(film, state)
         self.rim = Rim(film, state, self.lists, self.geometry) if f.rim else None
         self.transfer = Transfer(film, state, self.lists, self.geometry, self.rim) if f.lagrangian else None
+        self.membrane = (
+            Membrane(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim) if f.moving else None
+        )
         self.tangential = (
             Tangential(film, state, self.lists, self.geometry, self.fields, self.transfer, self.forces)
             if f.lagrangian
             else None
-        )
-        self.membrane = (
-            Membrane(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim) if f.moving else None
         )
         self.e_advance = EulerianAdvance(film, state, self.lists, self.geometry) if f.moving else None
         shifted = f.moving and film.numerics.redistribution > 0.0
@@ -80,6 +80,8 @@ class Stepper:
         if f.lagrangian:
             with self._stage("surfactant"):
                 self.tangential.solve(dt)  # (14), (15)
+                if f.recoils:
+                    self.membrane.recoil(self.tangential.traction, dt)
             with self._stage("e_to_l"):
                 self.transfer.e_to_l(self.tangential.dilation, dt)  # (16)-(18), (8)
                 v = self.l_advance.find_velocity(e.x, self.frame_start, dt)

@@ -43,6 +43,7 @@ class Tangential:
 
     Attributes:
         dilation: [n_e] div_s u, 1/s: before the solve, then after it.
+        traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where the film does not recoil.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class Tangential:
         self.film, self.state, self.lists, self.forces = film, state, lists, forces
         self.geometry, self.fields, self.transfer = geometry, fields, transfer
         self.dilation = film.zeros(film.n_e)
+        self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
         numerics = film.numerics
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
         self.solver = None
@@ -125,7 +127,7 @@ class Tangential:
                 film.material.density,
                 dt,
             ],
-            [self.state.e.u],
+            [self.state.e.u, self.traction],
         )
 
     def _diffuse(self, dt: float) -> None:

@@ -237,6 +237,7 @@ def time_order(
     steps_per_period: Sequence[int] = (20, 40, 80),
     reference: int = 640,
     periods: float = 1.5,
+    **numerics,
 ) -> dict:
     """Order in dt of the normal dynamics: the amplitude over time against a finer run of the midpoint rule.
 
@@ -249,7 +250,7 @@ def time_order(
     """
 
     def at_common_times(count, scheme):
-        signal = oscillation(mode, e_count, count, periods, scheme=scheme)["series"]["signal"]
+        signal = oscillation(mode, e_count, count, periods, scheme=scheme, **numerics)["series"]["signal"]
         return signal[:: count // steps_per_period[0]]
 
     finer = at_common_times(reference, "trapezoid")
@@ -266,6 +267,7 @@ def time_order(
         "errors": errors,
         "scheme": scheme,
         **{"mode": mode, "e_count": e_count, "steps_per_period": tuple(steps_per_period), "reference": reference},
+        **numerics,
     }
 
 
@@ -888,6 +890,7 @@ def taylor_pair(separation: float = 0.81, duration: float = 8.0, every: int = 8,
     seen = np.array(seen)
     merged = seen[:, 1] < 0.5 * seen[0, 1]
     return {
+        "separation": separation,
         "exact": float(seen[0, 1]),
         "measured": float(seen[-1, 1]),
         "error": float(max(0.0, 1.0 - seen[-1, 1] / seen[0, 1])),

@@ -33,34 +33,39 @@ def test_free_fall(scheme, l_order):
     """x = -g t^2/2 (backward Euler: -g t (t + dt)/2 exactly), u = -g t, at 1/60 s; the sphere stays one.
 
     Nothing in the film or its gas may feel the fall. 30 steps take the bubble 25 radii down. Float32 positions at
-    1.3 m are good to 1e-7 m.
+    1.3 m are good to 1e-7 m. The surface recoils from the liquid that the sampling's unevenness sets in motion.
     """
     run = v.free_fall(scheme=scheme, l_order=l_order)
-    assert run["error"] < 1e-3
-    assert run["e_error"] < 1e-5
+    assert run["error"] < 1e-5
+    assert run["e_error"] < 1e-3
     assert run["speed_error"] < 1e-3
     assert run["radius_spread"] < 1e-3
     assert run["l_radius_spread"] < 1e-3
 
 
 def test_lighter_gas_carries_the_weight():
-    """lift = 1: the surface hovers, while the liquid in it sinks to the bottom by much less than g t^2/2."""
+    """lift = 1: the centre of mass hovers; as the liquid sinks in the film, the surface rises by less than a radius."""
     run = v.free_fall(lift=1.0)
-    assert run["e_error"] < 1e-4
-    assert run["error"] < 0.02
+    assert run["error"] < 1e-3
+    assert run["e_error"] < 0.02
     assert run["radius_spread"] < 1e-3
 
 
-@pytest.mark.parametrize("l_per_e", [0, 8])
-def test_fall_with_the_mass_of_the_air(l_per_e):
-    """The surface starts to fall at g m/(m + 3/2 rho_air R): 0.4 % of g at R = 5 cm."""
-    assert v.fall_in_air(l_per_e=l_per_e)["error"] < 0.005
+@pytest.mark.parametrize(("l_per_e", "dt", "count"), [(0, 1e-3, 20), (8, 5e-4, 4)])
+def test_fall_with_the_mass_of_the_air(l_per_e, dt, count):
+    """The surface starts to fall at g m/(m + 3/2 rho_air R): 0.4 % of g at R = 5 cm.
+
+    With L, for 2 ms: within some 50 ms the liquid comes to hang on the surface.
+    """
+    assert v.fall_in_air(l_per_e=l_per_e, dt=dt, count=count)["error"] < 0.005
 
 
-@pytest.mark.xfail(strict=True, reason="the net force of uneven tension is taken for an error and removed")
 def test_fall_with_the_liquid_hanging_on_the_film():
-    """Later the film carries all of its liquid and falls at g m/(m + rho_air R/2), three times faster."""
-    assert v.fall_in_air(e_count=300, l_per_e=4, dt=4e-3, count=100, hanging=True)["error"] < 0.05
+    """Later the film carries all of its liquid and falls at g m/(m + rho_air R/2), three times faster.
+
+    The mean over the second half of 0.8 s, some sixteen times the 50 ms that the liquid takes to come to rest.
+    """
+    assert v.fall_in_air(e_count=300, l_per_e=4, dt=4e-3, count=200, hanging=True)["error"] < 0.02
 
 
 def test_flight_is_not_damped():
