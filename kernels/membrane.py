@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from melp_warp.kernels.sph import tangential
+
 wp.set_module_options({"enable_backward": False})
 
 # Slots of the gas array (float64).
@@ -501,23 +503,44 @@ def traction_chunks(
 
 @wp.kernel
 def recoil(
+    moment: wp.array(dtype=wp.mat33),
     inertia: wp.array(dtype=wp.mat33),
     net: wp.array(dtype=wp.vec3),
+    added: float,
+    stiff: float,
     dt: float,
     # outputs
     kick: wp.array(dtype=wp.vec3),
     motion: wp.array(dtype=wp.vec3),
 ):
-    """Translation that undoes the tangential impulse of uneven tension: the tension of a closed film is an inner force.
+    """Translations of surface and liquid by the tangential impulse J of uneven tension, an inner force.
 
-    The integral of 2 sigma kappa n + 2 grad_s sigma over a closed surface is zero.
+    The integral of 2 sigma kappa n + 2 grad_s sigma over a closed surface is zero, so the surface takes -J. The
+    tangential solve took the surface for fixed: the part of J that it found implicitly is shared by both masses, or two
+    bodies on a stiff spring would overshoot.
+
+    Args:
+        moment: parts of sum a n n.
+        inertia: parts of sum (m + added a) n n.
+        net: parts of J/dt.
+        added: mass per area of the air, kg/m^2.
+        stiff: implicit share w/(1 + w) of the lowest mode, w = (omega dt)^2.
+        dt: s.
+        kick: [0] added to the surface, [1] taken from the liquid, m/s.
+        motion: velocity of the film as a whole, m/s.
     """
     s0 = wp.mat33()
-    s1 = wp.vec3()
+    s1 = wp.mat33()
+    s2 = wp.vec3()
     for c in range(net.shape[0]):
-        s0 += inertia[c]
-        s1 += net[c]
-    kick[0] = -dt * (wp.inverse(s0) * s1)
+        s0 += moment[c]
+        s1 += inertia[c]
+        s2 += net[c]
+    across = s1 - added * s0
+    along = wp.trace(across) * wp.identity(n=3, dtype=float) - across
+    share = 1.0 / (1.0 + stiff * wp.trace(along) / wp.trace(s1))
+    kick[0] = -share * dt * (wp.inverse(s1) * s2)
+    kick[1] = (1.0 - share) * dt * (wp.inverse(along) * s2)
     motion[0] = motion[0] + kick[0]
 
 
@@ -530,9 +553,9 @@ def apply_recoil_e(
     u: wp.array(dtype=wp.vec3),
     u_mid: wp.array(dtype=float),
 ):
-    """Add the translation of `recoil` to the normal velocity. [n_e], m/s."""
+    """Add the translations of `recoil`. [n_e], m/s."""
     i = wp.tid()
     n = normal[i]
     k = wp.dot(kick[0], n)
-    u[i] = u[i] + k * n
+    u[i] = u[i] + k * n - tangential(kick[1], n)
     u_mid[i] = u_mid[i] + theta * k

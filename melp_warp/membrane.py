@@ -149,7 +149,7 @@ class Membrane:
         self.predicted = film.zeros(film.total, wp.vec3)
         self.force, self.external, self.u_mid = film.zeros(n), film.zeros(n), film.zeros(n)
         self.rigid, self.frame, self.swelling = film.zeros(3, wp.vec3), film.zeros(1, wp.vec3), film.zeros(1)
-        self.found = film.zeros(1, wp.vec3)
+        self.found, self.kick = film.zeros(1, wp.vec3), film.zeros(2, wp.vec3)
         self.lifted = film.parts(wp.vec3)
         self.mean = film.parts(wp.vec2)
         self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
@@ -277,8 +277,13 @@ class Membrane:
         """Move a closed film as a whole against the sum of the tangential forces of its tension."""
         film, e = self.film, self.state.e
         film.launch_parts(km.traction_chunks, [traction, self.geometry.area, film.n_e], [self.net])
-        film.launch_one(km.recoil, [self.inertia, self.net, dt], [self.found, self.state.motion])
-        film.launch_e(km.apply_recoil_e, [e.normal, self.found, self.theta], [e.u, self.u_mid])
+        w = 2.0 * film.stiffness / film.material.thickness * (dt / film.radius) ** 2
+        film.launch_one(
+            km.recoil,
+            [self.moment, self.inertia, self.net, self.added, w / (1.0 + w), dt],
+            [self.kick, self.state.motion],
+        )
+        film.launch_e(km.apply_recoil_e, [e.normal, self.kick, self.theta], [e.u, self.u_mid])
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""

@@ -83,7 +83,7 @@ class Stepper:
                 if f.recoils:
                     self.membrane.recoil(self.tangential.traction, dt)
             with self._stage("e_to_l"):
-                self.transfer.e_to_l(self.tangential.dilation, dt)  # (16)-(18), (8)
+                self.transfer.e_to_l(self.tangential.find_dilation(), dt)  # (16)-(18), (8)
                 v = self.l_advance.find_velocity(e.x, self.frame_start, dt)
         if f.moving:
             with self._stage("advance_e"):

@@ -42,7 +42,7 @@ class Tangential:
     """Tangential dynamics. Made only for films with L.
 
     Attributes:
-        dilation: [n_e] div_s u, 1/s: before the solve, then after it.
+        dilation: [n_e] div_s u, 1/s: before the solve, then where `find_dilation` was called.
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where the film does not recoil.
     """
 
@@ -81,8 +81,12 @@ class Tangential:
         if self.solver is not None:
             self._solve_surfactant(dt)
         self._accelerate(dt)
+
+    def find_dilation(self) -> wp.array:
+        """div_s u of the velocity as it is now. [n_e], 1/s."""
         self.transfer.mirror_rim()
         self._dilate()
+        return self.dilation
 
     def _dilate(self) -> None:
         self.film.launch_e(ks.dilation_e, [self.state.e.u, self.lists.ee.rows, self.geometry.gradient], [self.dilation])

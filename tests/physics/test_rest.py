@@ -44,9 +44,9 @@ def test_free_fall(scheme, l_order):
 
 
 def test_lighter_gas_carries_the_weight():
-    """lift = 1: the centre of mass hovers; as the liquid sinks in the film, the surface rises by less than a radius."""
+    """lift = 1: the centre of mass hovers within 1 % of g t^2/2; as the liquid sinks in the film, the surface rises."""
     run = v.free_fall(lift=1.0)
-    assert run["error"] < 1e-3
+    assert run["error"] < 0.01
     assert run["e_error"] < 0.02
     assert run["radius_spread"] < 1e-3
 
@@ -77,6 +77,6 @@ def test_flight_is_not_damped():
 
 
 def test_free_bubble_keeps_its_momentum():
-    """d/dt sum m u = 0. No scheme for normal and tangential parts apart does so exactly: a tenth of sum m |u|."""
-    assert v.free_momentum(frames=60)["error"] < 0.1
+    """d/dt sum m u = 0. No scheme for normal and tangential parts apart does so exactly: 3 % of sum m |u|."""
+    assert v.free_momentum(frames=60)["error"] < 0.03
     assert v.free_momentum(frames=60, displacement=0.0)["error"] < 0.03
