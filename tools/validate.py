@@ -46,7 +46,8 @@ class Case:
         runs: arguments of each run at full size.
         quick: what to change for a small run.
         show: from a run's numbers to the text of the column "measured".
-        met: whether a run reaches what it should; None where there is nothing to reach.
+        met: whether a run reaches what it should, None for a run that shows something else; None where there is
+            nothing to reach.
         size: text of the column "resolution".
     """
 
@@ -57,7 +58,7 @@ class Case:
     runs: list[dict]
     quick: dict = field(default_factory=dict)
     show: Callable[[dict], str] = lambda r: percent(r["error"])
-    met: Callable[[dict], bool] | None = None
+    met: Callable[[dict], bool | None] | None = None
     size: Callable[[dict], str] = lambda r: f"{r['e_count']:,} E"
 
 
@@ -91,7 +92,7 @@ CASES: dict[str, Case] = {
         [{"e_count": 1250}, {"e_count": 2500}, {"e_count": 5000}, {"e_count": 5000, "l_per_e": 16}],
         {"count": 10},
         lambda r: f"{percent(r['error'])}; spurious {r['spurious_speed']:.1e} m/s of {r['capillary_speed']:.0f} m/s",
-        lambda r: r["error"] < 0.005 or r["e_count"] < 5000,
+        lambda r: r["error"] < 0.005 if r["e_count"] >= 5000 else None,
         particles,
     ),
     "oscillation": Case(
@@ -121,10 +122,14 @@ CASES: dict[str, Case] = {
         "2 midpoint, 1 backward Euler",
         "-",
         v.time_order,
-        [{"scheme": "trapezoid"}, {"scheme": "backward_euler", "steps_per_period": (40, 80, 160)}],
+        [
+            {"scheme": "trapezoid"},
+            {"scheme": "trapezoid", "redistribution": 0.0},
+            {"scheme": "backward_euler", "steps_per_period": (40, 80, 160)},
+        ],
         {"e_count": 400, "reference": 320, "periods": 1.0},
         lambda r: (
-            f"{r['scheme']}: {r['measured']:.2f} (errors "
+            f"{r['scheme']}{', E left alone' if 'redistribution' in r else ''}: {r['measured']:.2f} (errors "
             + ", ".join(f"{e:.1e}" for e in r["errors"])
             + f" at T/{', '.join(map(str, r['steps_per_period']))})"
         ),
@@ -159,10 +164,10 @@ CASES: dict[str, Case] = {
         ],
         {"duration": 0.5},
         lambda r: (
-            ("hovers, lift 1" if r["lift"] else r["scheme"])
+            ("lift 1, of g t^2/2" if r["lift"] else r["scheme"])
             + f": {percent(r['error'])}, {percent(r['e_error'])}; sphere to {r['radius_spread']:.1e}"
         ),
-        lambda r: r["e_error"] < 1e-3 and (r["error"] < 1e-3 or r["lift"] == 1.0),
+        lambda r: max(r["error"], r["e_error"]) < 1e-3 if r["lift"] == 0.0 else None,
         particles,
     ),
     "fall-in-air": Case(
@@ -170,8 +175,13 @@ CASES: dict[str, Case] = {
         "g m/(m + 3/2 rho_air R) at first, g m/(m + rho_air R/2) once the liquid hangs on the film",
         "-",
         v.fall_in_air,
-        [{}, {"l_per_e": 8}, {"l_per_e": 8, "count": 400, "hanging": True}],
-        show=lambda r: f"{'later' if r['hanging'] else 'at first'}: {percent(r['error'])}",
+        [
+            {},
+            {"l_per_e": 8, "dt": 5e-4, "count": 4},
+            {"l_per_e": 8, "dt": 4e-3, "count": 200, "hanging": True},
+            {"l_per_e": 8, "dt": 1.0 / 60.0, "count": 60, "hanging": True},
+        ],
+        show=lambda r: f"{'later' if r['hanging'] else 'at first'}: {percent(r['error'])}, dt {1e3 * r['dt']:.2g} ms",
         size=particles,
     ),
     "translation": Case(
@@ -190,7 +200,7 @@ CASES: dict[str, Case] = {
         "-",
         v.free_momentum,
         [{}, {"displacement": 0.0}],
-        show=lambda r: f"{'round' if 'displacement' in r else 'wobbling by 25 %'}: {percent(r['error'])}",
+        show=lambda r: f"{'round' if 'displacement' in r else 'wobbling'}: {percent(r['error'])}",
         size=particles,
     ),
     "marangoni": Case(
@@ -224,7 +234,7 @@ CASES: dict[str, Case] = {
         [{"cells": c, **f} for c in (24, 48) for f in ({"drag": 0.01}, {"viscosity": 1e-4})],
         {"count": 50},
         lambda r: f"{'drag' if r['drag'] else 'viscosity'}: {percent(r['error'])}",
-        lambda r: abs(r["error"]) < 0.02 or r["e_count"] < 5000,
+        lambda r: abs(r["error"]) < 0.02 if r["e_count"] >= 5000 else None,
         lambda r: f"{np.pi / r['k_dx']:.0f} E to half a wave",
     ),
     "drainage": Case(
@@ -263,7 +273,7 @@ CASES: dict[str, Case] = {
             f"{r['measured']:.0f}, {r['l_measured']:.0f} (worst of the last second {r['worst_of_last_second']:.0f}, "
             f"{r['l_worst_of_last_second']:.0f})"
         ),
-        lambda r: r["worst_of_last_second"] > 100.0 and (r["l_worst_of_last_second"] > 100.0 or r["e_count"] < 1000),
+        lambda r: min(r["worst_of_last_second"], r["l_worst_of_last_second"]) > 100.0 if r["e_count"] > 1000 else None,
         particles,
     ),
     "conservation": Case(
@@ -288,7 +298,7 @@ CASES: dict[str, Case] = {
             f"air {r['air']}: {percent(r['error'])}, on the way {percent(r['excursion'])}, {r['lost']} lost; eta_L "
             f"off eta_E by {percent(r['thickness_mismatch'])} rms"
         ),
-        lambda r: r["finite"] and r["error"] < 1e-3 and r["lost"] == 0,
+        lambda r: bool(r["finite"] and r["error"] < 1e-3 and r["lost"] == 0),
         particles,
     ),
     "eddies": Case(
@@ -329,12 +339,12 @@ CASES: dict[str, Case] = {
             f"{r['exact']:.2f} -> {r['measured']:.2f} m, closest {r['closest']:.2f} m; energy kept "
             f"{r['energy_kept']:.2f}, peak {r['peak_kept']:.2f}"
         ),
-        lambda r: r["error"] == 0.0 or bool({"support", "l_order", "separation"} & set(r)),
+        lambda r: None if {"support", "l_order"} & set(r) or r["separation"] != 0.81 else r["error"] == 0.0,
         lambda r: (
             particles(r)
             + f", support {r.get('support', 3.0):g}"
             + (", second-order paths" if r.get("l_order") == 2 else "")
-            + (f", {r['separation']:g} m apart: should merge" if "separation" in r else "")
+            + (f", {r['separation']:g} m apart: should merge" if r["separation"] != 0.81 else "")
         ),
     ),
 }
@@ -357,7 +367,7 @@ def run_case(name: str, full: bool) -> list[dict]:
 def row(name: str, result: dict) -> str:
     """One line of the page's table."""
     case = CASES[name]
-    verdict = "" if case.met is None else ("yes" if case.met(result) else "**no**")
+    verdict = {True: "yes", False: "**no**", None: ""}[None if case.met is None else case.met(result)]
     cells = [case.title, case.exact, case.reach, case.show(result), verdict, case.size(result), f"`{name}`"]
     return "| " + " | ".join(cells) + " |"
 
@@ -447,11 +457,11 @@ NOTES = """\
   place than the one it is handed back from: a film without viscosity gains speed along a free-slip rim, some 0.02 %
   to 0.05 % a step with 14 to 24 E across. With the same weights both ways a round trip cannot add energy, and the
   decay of a shear flow by drag or viscosity is within 0.1 % at 24 E; as it is, it takes 48 E to be within 2 %.
-* **Uneven tension does not move a bubble.** The net normal force of tension and gas is taken out of the load, which is
-  right only for even tension: with surfactant it balances the Marangoni traction on the liquid. A bubble that must
-  push the air falls with the normal third of its weight for ever (row `fall-in-air`, "later").
-* **Momentum of a wobbling bubble** is kept to some 7 % of sum m |v|, at any time step: the normal speed is solved for
-  as a scalar, and what E carry does not turn with the liquid that flows round a bend.
+* **Momentum of a free bubble** is kept to some 2 % of sum m |v|, at any time step: the normal speed is solved for as
+  a scalar, and what E carry does not turn with the liquid that flows round a bend.
+* **Redistribution costs an order in time.** With E left where their normals take them the midpoint rule is of order
+  2.0; with shifts, of which a finer run has more, the last digit of a fine run is theirs (order 1.7 between T/20 and
+  T/80, 0.07 % of omega at n = 3, the same at any spacing).
 * **Second-order paths (`l_order=2`) harm vortices.** The velocity an L carries is not turned along its curved path, so
   each step multiplies the angular momentum by cos(omega dt). With straight paths (order 1) r x u is kept exactly,
   which is the symplectic Euler scheme; keep to it.
@@ -505,7 +515,7 @@ def main(arguments: list[str] | None = None) -> int:
         pictures = figures(results, FIGURES)
         PAGE.write_text(page(results, pictures, time.perf_counter() - began))
         print(f"wrote {PAGE} and {len(pictures)} figures")
-    missed = [n for n, found in results.items() for r in found if CASES[n].met is not None and not CASES[n].met(r)]
+    missed = [n for n, found in results.items() for r in found if CASES[n].met is not None and CASES[n].met(r) is False]
     if missed:
         print("not reached: " + ", ".join(dict.fromkeys(missed)), file=sys.stderr)
     return 1 if missed else 0
