@@ -35,40 +35,6 @@ def smooth_drift_e(
 
 
 @wp.kernel
-def translation_chunks(
-    normal: wp.array(dtype=wp.vec3),
-    area: wp.array(dtype=float),
-    u_mid: wp.array(dtype=float),
-    n: int,
-    # outputs
-    moment: wp.array(dtype=wp.mat33),
-    net: wp.array(dtype=wp.vec3),
-):
-    """Parts of sum a n n and sum a u_n n."""
-    c = wp.tid()
-    size = (n + net.shape[0] - 1) // net.shape[0]
-    s0 = wp.mat33()
-    s1 = wp.vec3()
-    for i in range(c * size, wp.min(n, (c + 1) * size)):
-        ni = normal[i]
-        s0 += area[i] * wp.outer(ni, ni)
-        s1 += area[i] * u_mid[i] * ni
-    moment[c] = s0
-    net[c] = s1
-
-
-@wp.kernel
-def solve_translation(moment: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec3), frame: wp.array(dtype=wp.vec3)):
-    """Velocity U of the film as a whole, (sum a n n) U = sum a u_n n. frame[0], m/s."""
-    s0 = wp.mat33()
-    s1 = wp.vec3()
-    for c in range(net.shape[0]):
-        s0 += moment[c]
-        s1 += net[c]
-    frame[0] = wp.inverse(s0) * s1
-
-
-@wp.kernel
 def advance_e(
     normal: wp.array(dtype=wp.vec3),
     u_mid: wp.array(dtype=float),

@@ -16,32 +16,21 @@ OFFSET = wp.constant(5)
 
 
 @wp.kernel
-def translation_chunks(
+def mean_speed_chunks(
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     u: wp.array(dtype=wp.vec3),
     n: int,
     # outputs
-    moment: wp.array(dtype=wp.mat33),
-    net: wp.array(dtype=wp.vec3),
     swept: wp.array(dtype=wp.vec2),
 ):
-    """Parts of sum a n n and sum a (u.n) n, see `solve_translation`, and of (sum a u.n, sum a)."""
+    """Parts of (sum a u.n, sum a)."""
     c = wp.tid()
-    size = (n + net.shape[0] - 1) // net.shape[0]
-    s0 = wp.mat33()
-    s1 = wp.vec3()
-    s2 = wp.vec2()
+    size = (n + swept.shape[0] - 1) // swept.shape[0]
+    total = wp.vec2()
     for i in range(c * size, wp.min(n, (c + 1) * size)):
-        ni = normal[i]
-        a = area[i]
-        un = wp.dot(u[i], ni)
-        s0 += a * wp.outer(ni, ni)
-        s1 += a * un * ni
-        s2 += wp.vec2(a * un, a)
-    moment[c] = s0
-    net[c] = s1
-    swept[c] = s2
+        total += area[i] * wp.vec2(wp.dot(u[i], normal[i]), 1.0)
+    swept[c] = total
 
 
 @wp.kernel
@@ -80,6 +69,17 @@ def momentum_chunks(
 
 
 @wp.kernel
+def solve_motion(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3)):
+    """Velocity U of the film as a whole, (sum (m + added a) n n) U = sum (m + added a) u_n n. motion[0], m/s."""
+    s0 = wp.mat33()
+    s1 = wp.vec3()
+    for c in range(net.shape[0]):
+        s0 += inertia[c]
+        s1 += net[c]
+    motion[0] = wp.inverse(s0) * s1
+
+
+@wp.kernel
 def hold_motion_e(
     normal: wp.array(dtype=wp.vec3),
     found: wp.array(dtype=wp.vec3),
@@ -95,6 +95,14 @@ def hold_motion_e(
     i = wp.tid()
     n = normal[i]
     u[i] = u[i] + wp.dot(motion[0] - found[0], n) * n
+
+
+@wp.kernel
+def blend_motion(
+    start: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3), theta: float, frame: wp.array(dtype=wp.vec3)
+):
+    """Velocity of the film as a whole in the step: between those of its start and of its end. frame[0], m/s."""
+    frame[0] = start[0] + theta * (motion[0] - start[0])
 
 
 @wp.kernel

@@ -8,7 +8,6 @@ from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import boundary as kb
-from melp_warp.kernels import membrane as km
 from melp_warp.kernels import redistribute as kr
 from melp_warp.kernels import transfer as kt
 from melp_warp.launch import Shared
@@ -29,42 +28,25 @@ class EulerianAdvance:
     """Motion of E with the surface. Made only for films whose surface moves.
 
     Attributes:
-        frame: [1] velocity of the film as a whole in this step, m/s.
-        end: [1] the same at its end; equal where the scheme moves E with the velocity of the end.
         x_old: [n] positions before the step, m.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
-        self.frame = film.zeros(1, wp.vec3)
-        self.end = film.zeros(1, wp.vec3) if film.numerics.scheme == "trapezoid" else self.frame
         self.x_old = wp.clone(state.e.x)
-        self._moment, self._net, self._mean = film.parts(wp.mat33), film.parts(wp.vec3), film.parts(wp.vec2)
         self._smoothed = film.zeros(film.n_e, wp.vec3)
 
-    def advance(self, u_mid: wp.array, dt: float) -> None:
+    def advance(self, u_mid: wp.array, frame: wp.array, dt: float) -> None:
         """Move E with the normal velocity, their drift and the film as a whole (19)."""
         film, e = self.film, self.state.e
         wp.copy(self.x_old, e.x)
-        if film.features.closed:
-            film.launch_parts(
-                ka.translation_chunks, [e.normal, self.geometry.area, u_mid, film.n_e], [self._moment, self._net]
-            )
-            film.launch_one(ka.solve_translation, [self._moment, self._net], [self.frame])
-            if self.end is not self.frame:
-                film.launch_parts(
-                    km.translation_chunks,
-                    [e.normal, self.geometry.area, e.u, film.n_e],
-                    [self._moment, self._net, self._mean],
-                )
-                film.launch_one(ka.solve_translation, [self._moment, self._net], [self.end])
         film.launch_e(
             ka.smooth_drift_e,
             [e.x, e.drift, self.lists.ee.rows, film.r, film.n_e, film.numerics.xsph],
             [self._smoothed],
         )
         wp.copy(e.drift, self._smoothed)
-        film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, self.frame, dt], [e.x])
+        film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, frame, dt], [e.x])
 
 
 class Redistribution:

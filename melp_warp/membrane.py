@@ -9,7 +9,6 @@ from melp_warp import air
 from melp_warp.film import Film
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
-from melp_warp.kernels import advance as ka
 from melp_warp.kernels import membrane as km
 from melp_warp.launch import launch
 from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
@@ -129,6 +128,8 @@ class Membrane:
 
     Attributes:
         u_mid: [n_e] normal speed that moves E in this step, m/s.
+        start: [1] velocity of the film as a whole at the start of the step, m/s.
+        frame: [1] the same in the step; that of its end is `State.motion`.
     """
 
     def __init__(
@@ -148,7 +149,8 @@ class Membrane:
         n = film.n_e
         self.predicted = film.zeros(film.total, wp.vec3)
         self.force, self.external, self.u_mid = film.zeros(n), film.zeros(n), film.zeros(n)
-        self.rigid, self.frame, self.swelling = film.zeros(3, wp.vec3), film.zeros(1, wp.vec3), film.zeros(1)
+        self.rigid, self.swelling = film.zeros(3, wp.vec3), film.zeros(1)
+        self.start, self.frame = film.zeros(1, wp.vec3), film.zeros(1, wp.vec3)
         self.found, self.kick = film.zeros(1, wp.vec3), film.zeros(2, wp.vec3)
         self.lifted = film.parts(wp.vec3)
         self.mean = film.parts(wp.vec2)
@@ -167,6 +169,7 @@ class Membrane:
         ahead = 0.0 if self.explicit else self.theta * dt
         if self.film.features.closed:
             self._find_motion(self.found)
+            wp.copy(self.start, self.state.motion)
             self.film.launch_e(km.hold_motion_e, [self.state.e.normal, self.found, self.state.motion], [self.state.e.u])
         self._load(ahead, dt)
         change, unit = self._respond(dt)
@@ -191,7 +194,7 @@ class Membrane:
             [e.normal, e.mass, self.geometry.area, e.u, self.added, film.n_e],
             [self.inertia, self.net],
         )
-        film.launch_one(ka.solve_translation, [self.inertia, self.net], [motion])
+        film.launch_one(km.solve_motion, [self.inertia, self.net], [motion])
 
     def _load(self, ahead: float, dt: float) -> None:
         film, e, m = self.film, self.state.e, self.film.material
@@ -230,17 +233,14 @@ class Membrane:
     def _predict(self, ahead: float) -> None:
         film, e = self.film, self.state.e
         if film.features.closed:
-            film.launch_parts(
-                km.translation_chunks, [e.normal, self.geometry.area, e.u, film.n_e], [self.moment, self.net, self.mean]
-            )
-            film.launch_one(ka.solve_translation, [self.moment, self.net], [self.frame])
+            film.launch_parts(km.mean_speed_chunks, [e.normal, self.geometry.area, e.u, film.n_e], [self.mean])
             film.launch_one(km.mean_speed, [self.mean], [self.swelling])
         if self.rim is not None:
             self.rim.mirror_velocity()
         launch(
             km.predict_position_e,
             film.total,
-            [e.x, e.u, e.normal, self.frame, self.swelling, ahead],
+            [e.x, e.u, e.normal, self.start, self.swelling, ahead],
             [self.predicted],
             self.film.device,
         )
@@ -264,7 +264,7 @@ class Membrane:
                 self.geometry.kappa,
                 change,
                 unit,
-                self.frame,
+                self.start,
                 self.theta,
                 dt,
                 film.n_e,
@@ -284,6 +284,10 @@ class Membrane:
             [self.kick, self.state.motion],
         )
         film.launch_e(km.apply_recoil_e, [e.normal, self.kick, self.theta], [e.u, self.u_mid])
+
+    def find_frame(self) -> None:
+        """Set `frame`, once all that moves the film as a whole in this step is known."""
+        self.film.launch_one(km.blend_motion, [self.start, self.state.motion, self.theta], [self.frame])
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""

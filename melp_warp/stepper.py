@@ -55,9 +55,8 @@ class Stepper:
         self.redistribution = Redistribution(film, state, self.lists, self.geometry) if shifted else None
         self.l_advance = LagrangianAdvance(film, state, self.lists, self.geometry) if f.lagrangian else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
-        self.frame = self.e_advance.frame if f.moving else film.zeros(1, wp.vec3)
-        self.frame_start = self.membrane.frame if f.moving else self.frame
-        self.frame_end = self.e_advance.end if f.moving else self.frame
+        still = film.zeros(1, wp.vec3)
+        self.start, self.frame = (self.membrane.start, self.membrane.frame) if f.moving else (still, still)
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.steps = 0
         self.geometry.update()
@@ -84,10 +83,11 @@ class Stepper:
                     self.membrane.recoil(self.tangential.traction, dt)
             with self._stage("e_to_l"):
                 self.transfer.e_to_l(self.tangential.find_dilation(), dt)  # (16)-(18), (8)
-                v = self.l_advance.find_velocity(e.x, self.frame_start, dt)
+                v = self.l_advance.find_velocity(e.x, self.start, dt)
         if f.moving:
             with self._stage("advance_e"):
-                self.e_advance.advance(self.membrane.u_mid, dt)  # (19)
+                self.membrane.find_frame()
+                self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19)
                 if self.redistribution is not None:
                     self.redistribution.apply(dt)  # (20)
                 if self.rim is not None:
@@ -100,7 +100,7 @@ class Stepper:
                     self.membrane.close_volume()
         if f.lagrangian:
             with self._stage("advance_l"):
-                self.l_advance.advance(v, self.frame, self.frame_end, dt)  # Algorithm 7
+                self.l_advance.advance(v, self.frame, self.state.motion, dt)  # Algorithm 7
                 self.lists.record_l(self.frame, dt)
         self.state.time += dt
         self.steps += 1
