@@ -10,8 +10,6 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from PIL import Image
-
 from melp_warp.cli import main as melp_warp
 from melp_warp.preview import Camera, contact_sheet, render, save_png
 from melp_warp.usd import list_frames, read_frame
@@ -39,12 +37,9 @@ def draw(name: str, size: int) -> None:
         frames = [read_frame(out, n) for n in numbers]
         camera = Camera.fit(frames)
         images = [render(frame, size, size, camera) for frame in frames]
-    sheet = contact_sheet(images, columns=3)
     FIGURES.mkdir(parents=True, exist_ok=True)
     path = FIGURES / f"{name}.png"
-    save_png(sheet, path)
-    # A palette of 256 colours keeps the repository small.
-    Image.open(path).convert("RGB").quantize(256, method=Image.Quantize.MEDIANCUT).save(path, optimize=True)
+    save_png(contact_sheet(images, columns=3), path)
     print(path)
 
 
