@@ -45,7 +45,7 @@ def normalize_l(
         r: support radius, m.
         n_e: number of E; boundary particles beyond take no part, so that the transfer conserves.
         density: rho, kg/m^3.
-        weight: [pairs] W(E, L), boundary particles included, 1/m^2.
+        weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         share: [n_l] (mass, surfactant, area m/(rho eta))/alpha.
         momentum: [n_l] m (u - C o)/alpha, with o the weighted mean of the E as seen from the L.
         slope: [n_l] m C/alpha.
@@ -57,12 +57,13 @@ def normalize_l(
     mean = wp.vec3()
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
-        d = x_e[j] - p
-        w = kernel_w(wp.length(d), r)
-        weight[k] = w
+        w = float(0.0)
         if j < n_e:
+            d = x_e[j] - p
+            w = kernel_w(wp.length(d), r)
             total += w
             mean += w * d
+        weight[k] = w
     inverse = float(0.0)
     if total > 0.0:
         inverse = 1.0 / total
@@ -158,7 +159,6 @@ def gather_e_to_l(
     growth_e: wp.array(dtype=float),
     weight: wp.array(dtype=float),
     rows: Neighbors,
-    n_e: int,
     # outputs
     u_l: wp.array(dtype=wp.vec3),
     affine_l: wp.array(dtype=wp.mat33),
@@ -168,15 +168,17 @@ def gather_e_to_l(
 ):
     """Velocity (16), affine state (17), inertia (18) and thickness (8) of each L.
 
+    With the weights of (6), over E alone: a round trip then cannot add energy. With boundary particles in these sums
+    and not in those, a flow along a rim fed on the difference.
+
     Args:
         x_l: [n_l] m.
         x_e: [n] m.
-        u_e: [n] m/s; boundary particles take part in the velocity.
+        u_e: [n] m/s.
         normal_e: [n] unit normals.
         growth_e: [n_e] relative change of the thickness in this step, see `thickness_growth_e`.
-        weight: [pairs] W(E, L), 1/m^2.
+        weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
-        n_e: number of E.
         u_l: [n_l] carried velocity sum W^ u_E, m/s.
         affine_l: [n_l] B D^-1 with differences of position in the tangent plane, 1/s.
         v_l: [n_l] velocity at the particle itself, m/s.
@@ -186,7 +188,6 @@ def gather_e_to_l(
     i = wp.tid()
     p = x_l[i]
     total = float(0.0)
-    inner = float(0.0)
     growth = float(0.0)
     first = wp.vec3()
     second = wp.mat33()
@@ -206,10 +207,8 @@ def gather_e_to_l(
             velocity += wu
             moment += wp.outer(wu, d)
             n += w * normal_e[j]
-            if j < n_e:
-                inner += w
-                growth += w * growth_e[j]
-    if inner > 0.0:
+            growth += w * growth_e[j]
+    if total > 0.0:
         n = wp.normalize(n)
         first = first / total
         velocity = velocity / total
@@ -229,7 +228,7 @@ def gather_e_to_l(
         affine_l[i] = affine
         v_l[i] = velocity - affine * first
         normal_l[i] = n
-        eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / inner, -1.0, 1.0))
+        eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))
 
 
 @wp.kernel
@@ -277,6 +276,7 @@ def interpolate_velocity_l(
     u_e: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     r: float,
+    n_e: int,
     # outputs
     v_mid: wp.array(dtype=wp.vec3),
 ):
@@ -291,11 +291,12 @@ def interpolate_velocity_l(
     velocity = wp.vec3()
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
-        d = x_e[j] - p
-        w = kernel_w(wp.length(d), r)
-        total += w
-        first += w * d
-        velocity += w * u_e[j]
+        if j < n_e:
+            d = x_e[j] - p
+            w = kernel_w(wp.length(d), r)
+            total += w
+            first += w * d
+            velocity += w * u_e[j]
     v = v_l[i]
     if total > 0.0:
         v = (velocity - affine_l[i] * first) / total

@@ -119,6 +119,7 @@ class LagrangianAdvance:
                 Shared(self.state.e.u),
                 self.lists.le.rows,
                 film.r,
+                film.n_e,
             ],
             [self._v_mid],
         )

@@ -41,12 +41,12 @@ class Stepper:
         self.fields = Fields(film, state, self.geometry)
         self.forces = Forces(film, state)
         self.rim = Rim(film, state, self.lists, self.geometry) if f.rim else None
-        self.transfer = Transfer(film, state, self.lists, self.geometry, self.rim) if f.lagrangian else None
+        self.transfer = Transfer(film, state, self.lists, self.geometry) if f.lagrangian else None
         self.membrane = (
             Membrane(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim) if f.moving else None
         )
         self.tangential = (
-            Tangential(film, state, self.lists, self.geometry, self.fields, self.transfer, self.forces)
+            Tangential(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim)
             if f.lagrangian
             else None
         )

@@ -10,8 +10,8 @@ from melp_warp.geometry import Geometry
 from melp_warp.kernels import surfactant as ks
 from melp_warp.linear import ConjugateGradient, LinearOperator
 from melp_warp.neighbors import NeighborLists
+from melp_warp.rim import Rim
 from melp_warp.state import State
-from melp_warp.transfer import Transfer
 
 JACOBI_OMEGA = 0.2
 
@@ -53,11 +53,11 @@ class Tangential:
         lists: NeighborLists,
         geometry: Geometry,
         fields: Fields,
-        transfer: Transfer,
         forces: Forces,
+        rim: Rim | None,
     ):
         self.film, self.state, self.lists, self.forces = film, state, lists, forces
-        self.geometry, self.fields, self.transfer = geometry, fields, transfer
+        self.geometry, self.fields, self.rim = geometry, fields, rim
         self.dilation = film.zeros(film.n_e)
         self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
         numerics = film.numerics
@@ -76,20 +76,17 @@ class Tangential:
         """Advance the tangential velocity of E by dt: viscosity, then (14) and (15)."""
         if self.viscous is not None:
             self._diffuse(dt)
-        self.transfer.mirror_rim()
-        self._dilate()
+        self.find_dilation()
         if self.solver is not None:
             self._solve_surfactant(dt)
         self._accelerate(dt)
 
     def find_dilation(self) -> wp.array:
-        """div_s u of the velocity as it is now. [n_e], 1/s."""
-        self.transfer.mirror_rim()
-        self._dilate()
-        return self.dilation
-
-    def _dilate(self) -> None:
+        """div_s u of the velocity as it is now, no flow through a rim. [n_e], 1/s."""
+        if self.rim is not None:
+            self.rim.mirror_velocity()
         self.film.launch_e(ks.dilation_e, [self.state.e.u, self.lists.ee.rows, self.geometry.gradient], [self.dilation])
+        return self.dilation
 
     def _solve_surfactant(self, dt: float) -> None:
         film, fields, solver = self.film, self.fields, self.solver

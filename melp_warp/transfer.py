@@ -11,7 +11,6 @@ from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
 from melp_warp.launch import Shared, launch_rows
 from melp_warp.neighbors import NeighborLists
-from melp_warp.rim import Rim
 from melp_warp.state import State
 
 THICKNESS_SLACK = 0.02
@@ -29,8 +28,8 @@ class Transfer:
         lost: [n_l] 1 where no E is near.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, rim: Rim | None):
-        self.film, self.state, self.lists, self.geometry, self.rim = film, state, lists, geometry, rim
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.weight = film.zeros(lists.le.rows.index.shape[0])
         self.share, self.given = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l, wp.vec3)
         self.slope = film.zeros(film.n_l, wp.mat33)
@@ -72,11 +71,6 @@ class Transfer:
             [self.weight, self.share, self.given, self.slope, self.lost],
         )
 
-    def mirror_rim(self) -> None:
-        """Give boundary particles their velocity, where there are any."""
-        if self.rim is not None:
-            self.rim.mirror_velocity()
-
     def e_to_l(self, dilation: wp.array, dt: float) -> None:
         """Velocity, affine state and thickness of L from E, (16)-(18) and (8)."""
         film = self.film
@@ -86,14 +80,12 @@ class Transfer:
             [dilation, self.claim, self.geometry.area, dt, rate, THICKNESS_SLACK],
             [self.growth],
         )
-        self.mirror_rim()
         self.gather_to_l()
 
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
         self.growth.zero_()
         self.normalize()
-        self.mirror_rim()
         self.gather_to_l()
 
     def gather_to_l(self) -> None:
@@ -103,7 +95,7 @@ class Transfer:
             kt.gather_e_to_l,
             [
                 *(lag.x, *map(Shared, (e.x, e.u, e.normal, self.growth, self.weight))),
-                *(self.lists.le.rows, film.n_e),
+                self.lists.le.rows,
             ],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],
         )

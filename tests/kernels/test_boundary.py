@@ -28,7 +28,7 @@ def test_constant_velocity_is_mirrored_exactly(shape, device):
     film, s = make_stepper(shape, 800, device, l_per_e=1)
     constant = np.array([0.6, -0.4, 0.3])
     set_e(s, lambda x: np.tile(constant, (len(x), 1)))
-    s.transfer.mirror_rim()
+    s.rim.mirror_velocity()
     out = f64(film.rim.outward)
     n = f64(s.state.e.normal)[film.n_e :]
     expected = constant - 2.0 * ((out @ constant)[:, None] * out + (n @ constant)[:, None] * n)
@@ -55,47 +55,43 @@ def on_the_walls(stepper):
 
 
 def leak(stepper, across, function):
-    """Largest normal velocity, carried and at the particle, of the first L that lie on the rim."""
+    """Largest normal velocity at the first L, which lie on the rim."""
     set_e(stepper, function)
     stepper.transfer.start_l()
-    lag = stepper.state.l
-    return max(np.abs(np.sum(f64(v)[: len(across)] * across, axis=1)).max() for v in (lag.u, lag.v))
+    return np.abs(np.sum(f64(stepper.state.l.v)[: len(across)] * across, axis=1)).max()
 
 
 def test_no_flow_through_a_straight_wall(device):
-    """A field and its mirror image cancel across the wall: u_L.o = 0 there.
-
-    On a lattice E and boundary particles are mirror images: an even flow of 1 m/s is stopped to rounding. A flow that
-    varies at u' across the wall is seen at the mirror points through W of radius 2 dx, one-sided in the row next to the
-    wall where neighbours in the row beyond hold 3 % of the weight: a leak of 0.03 u' dx, which falls with dx.
-    """
-    leaks, slope = [], 30.0
-    for count in (450, 1800, 7200):
-        film, s = make_stepper(SHEET, count, device, l_per_e=2)
+    """A flow that dies out towards the wall as u' d is affine: L on the wall see it stop, on uneven points too."""
+    slope = 30.0
+    for shape in (SHEET, Jittered(SHEET)):
+        _, s = make_stepper(shape, 1800, device, l_per_e=2)
         out = on_the_walls(s)
-        assert leak(s, out, lambda x: np.tile([1.0, 1.0, 0.0], (len(x), 1))) < 5e-6
-        leaks.append(leak(s, out, lambda x: slope * np.stack([x[:, 0] - 0.1, 0.05 - x[:, 1], 0.0 * x[:, 0]], axis=1)))
-        assert leaks[-1] < 0.05 * slope * film.spacing
-    print("leaks", leaks)
-    assert leaks[2] < 0.6 * leaks[1] < 0.36 * leaks[0]
+        near = leak(s, out, lambda x: slope * np.stack([0.0 * x[:, 0], 0.05 - x[:, 1], 0.0 * x[:, 0]], axis=1))
+        lower = np.isclose(out[:, 1], -1.0)
+        assert near == pytest.approx(slope * HEIGHT, rel=1e-4)  # the lower wall, where that flow does not stop
+        v = np.abs(np.sum(f64(s.state.l.v)[: len(out)] * out, axis=1))
+        assert v[~lower].max() < 1e-4 * slope * HEIGHT
 
 
-def test_no_flow_through_the_wall_on_uneven_points(device):
-    """With 0.15 dx jitter E are no mirror images of the boundary: some per cent of an even flow are left.
+def test_dilation_sees_the_wall(device):
+    """An even flow onto a wall is compressed there: sum a div u = -U (length of the wall), by the mirrored velocities.
 
-    Each of some 25 E to a side errs by 0.06 dx |grad W| across the wall, at random: sqrt(25) 0.06 dx W(0)/(2 dx) over
-    half of sum W = 25 W(0)/2 or so is 1 %, four times that at the worst of 3,600 points. Measured 1 % mean, 4 % worst.
+    The flow jumps at the wall; the gradient of a jump is right to 10 % of it, corners included. Nothing happens at the
+    walls along which the flow slips.
     """
-    _, s = make_stepper(Jittered(SHEET), 1800, device, l_per_e=2)
-    assert leak(s, on_the_walls(s), lambda x: np.tile([1.0, 1.0, 0.0], (len(x), 1))) < 0.06
+    film, s = make_stepper(SHEET, 1800, device, l_per_e=2)
+    set_e(s, lambda x: np.tile([1.0, 0.0, 0.0], (len(x), 1)))
+    dilation, area = f64(s.tangential.find_dilation()), f64(s.geometry.area)
+    x = f64(s.state.e.x)[: film.n_e]
+    right = x[:, 0] > 0.0
+    assert np.sum((area * dilation)[right]) == pytest.approx(-HEIGHT, rel=0.1)
+    assert np.sum((area * dilation)[~right]) == pytest.approx(HEIGHT, rel=0.1)
+    assert np.abs(dilation[np.abs(x[:, 0]) < 0.5 * WIDTH - 1.1 * film.r]).max() < 1e-2
 
 
 def test_no_flow_through_a_round_rim(device):
-    """A radial flow 1 - (rho/R)^2 that dies out at the rim crosses it by O(dx) of its slope only.
-
-    The golden spiral's boundary particles are not the mirror images of its E: 18 % of an even flow would be left at the
-    worst place, at any resolution. What arrives at the rim has a speed of 2 dx/R.
-    """
+    """A radial flow 1 - (rho/R)^2 that dies out at the rim crosses it by O(dx^2) of its curvature only."""
     spacings, leaks = [], []
     for count in (800, 1600, 3200, 6400):
         film, s = make_stepper(Disc(RADIUS), count, device, l_per_e=2)
@@ -106,9 +102,8 @@ def test_no_flow_through_a_round_rim(device):
         radial = lambda x: (1.0 - np.sum(x * x, axis=1, keepdims=True) / RADIUS**2) * x / RADIUS  # noqa: E731
         spacings.append(film.spacing)
         leaks.append(leak(s, rim, radial))
-        assert leaks[-1] < 0.18 * 2.0 * film.spacing / RADIUS
     print("leaks", leaks, "order", fitted_order(spacings, leaks))
-    assert fitted_order(spacings, leaks) > 0.8
+    assert fitted_order(spacings, leaks) > 1.7
 
 
 def push_out(stepper, factor):

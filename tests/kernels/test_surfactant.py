@@ -32,7 +32,7 @@ def set_velocity(stepper, function):
 
 
 def dilate(stepper):
-    stepper.tangential._dilate()
+    stepper.tangential.find_dilation()
     return stepper.tangential.dilation.numpy()
 
 
