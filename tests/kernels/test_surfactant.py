@@ -32,8 +32,9 @@ def set_velocity(stepper, function):
 
 
 def dilate(stepper):
-    stepper.tangential.find_dilation()
-    return stepper.tangential.dilation.numpy()
+    """div_s u with the velocities that boundary particles have, not those that the rim gives them."""
+    stepper.tangential.rim = None
+    return stepper.tangential.find_dilation().numpy()
 
 
 def amplitude(values, mode):
