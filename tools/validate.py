@@ -195,7 +195,7 @@ CASES: dict[str, Case] = {
         size=particles,
     ),
     "momentum": Case(
-        "Momentum of a free bubble over sum m |v|",
+        "Change of momentum of a free bubble, relative to the sum of m times speed",
         "constant",
         "-",
         v.free_momentum,
@@ -457,18 +457,20 @@ NOTES = """\
   place than the one it is handed back from: a film without viscosity gains speed along a free-slip rim, some 0.02 %
   to 0.05 % a step with 14 to 24 E across. With the same weights both ways a round trip cannot add energy, and the
   decay of a shear flow by drag or viscosity is within 0.1 % at 24 E; as it is, it takes 48 E to be within 2 %.
-* **Momentum of a free bubble** is kept to some 2 % of sum m |v|, at any time step: the normal speed is solved for as
-  a scalar, and what E carry does not turn with the liquid that flows round a bend.
-* **Redistribution costs an order in time.** With E left where their normals take them the midpoint rule is of order
-  2.0; with shifts, of which a finer run has more, the last digit of a fine run is theirs (order 1.7 between T/20 and
-  T/80, 0.07 % of omega at n = 3, the same at any spacing).
+* **Momentum of a free bubble** is kept to some 1 % of the sum of m times speed, at any time step: the normal speed is
+  solved for as a scalar, and what E carry does not turn with the liquid that flows round a bend.
+* **Redistribution costs order in time.** With E left where their normals take them the midpoint rule is of order 2.0;
+  with shifts, of which a finer run has more, it is 1.7 between T/20 and T/80.
+* **The last 0.07 % of omega at n = 3 are not the spacing's** but the step's, beside the midpoint rule's own 0.2 % at T/40
+  (0.03 % at T/80), with or without redistribution; the order in the spacing shows at n = 4 only. Not explained further.
 * **Second-order paths (`l_order=2`) harm vortices.** The velocity an L carries is not turned along its curved path, so
   each step multiplies the angular momentum by cos(omega dt). With straight paths (order 1) r x u is kept exactly,
   which is the symplectic Euler scheme; keep to it.
 * **Small eddies fade.** A transfer takes 3/4 (K sigma)^4 of the speed a step, sigma = 0.23 supports: eddies of 16 E
-  lose a fifth of their speed in 60 steps at support 4, a third of that at support 3.
-* **The midpoint scheme is not for frame-sized steps**: without air giant_bubble leaves its volume behind at 1/60 s, at
-  capillary CFL 40; backward Euler holds. With air either does.
+  lose a fifth of their speed in 60 steps at support 4, less than half of that at support 3. Wider kernels merge Taylor
+  vortices that should part.
+* **The midpoint scheme is not for frame-sized steps**: without air giant_bubble turns non-finite in its third step of
+  1/60 s, at capillary CFL 40; backward Euler holds. With the air's mass it stays finite, its E uneven by 40 %.
 * **The surfactant equation is backward Euler in time**, so elastic waves lose 2 pi^2/(steps a period) of their
   amplitude a period, in steps of 1/60 s all of it.
 """
