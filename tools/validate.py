@@ -452,17 +452,12 @@ CAPTIONS = {
 NOTES = """\
 ## What falls short, and why
 
-* **Rims feed or eat the flow along them.** L take their velocity from E and boundary particles, but give it back to E
-  alone. Where both kinds of neighbours count the two weightings differ, and what an L carries belongs to another
-  place than the one it is handed back from: a film without viscosity gains speed along a free-slip rim, some 0.02 %
-  to 0.05 % a step with 14 to 24 E across. With the same weights both ways a round trip cannot add energy, and the
-  decay of a shear flow by drag or viscosity is within 0.1 % at 24 E; as it is, it takes 48 E to be within 2 %.
 * **Momentum of a free bubble** is kept to some 1 % of the sum of m times speed, at any time step: the normal speed is
   solved for as a scalar, and what E carry does not turn with the liquid that flows round a bend.
 * **Redistribution costs order in time.** With E left where their normals take them the midpoint rule is of order 2.0;
   with shifts, of which a finer run has more, it is 1.7 between T/20 and T/80.
-* **The last 0.07 % of omega at n = 3 are not the spacing's** but the step's, beside the midpoint rule's own 0.2 % at T/40
-  (0.03 % at T/80), with or without redistribution; the order in the spacing shows at n = 4 only. Not explained further.
+* **The last 0.07 % of omega at n = 3 are not the spacing's** but the step's, beside the midpoint rule's own 0.2 % at
+  T/40 (0.03 % at T/80), with or without redistribution; the order in the spacing shows at n = 4 only. Not explained.
 * **Second-order paths (`l_order=2`) harm vortices.** The velocity an L carries is not turned along its curved path, so
   each step multiplies the angular momentum by cos(omega dt). With straight paths (order 1) r x u is kept exactly,
   which is the symplectic Euler scheme; keep to it.
