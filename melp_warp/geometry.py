@@ -5,8 +5,9 @@ from __future__ import annotations
 import warp as wp
 
 from melp_warp.film import Film
+from melp_warp.kernels import cells as kc
+from melp_warp.kernels import gas as kv
 from melp_warp.kernels import geometry as kg
-from melp_warp.kernels import membrane as km
 from melp_warp.kernels.mls import Quadric
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
@@ -55,11 +56,11 @@ class Geometry:
             film.launch_e(kg.fit_inner_gradient_e, [e.x, self.surface, rows, film.r, film.n_e], [self.inner_gradient])
         self.update_density()
         film.launch_e(
-            kg.voronoi_cell_e,
+            kc.voronoi_cell_e,
             [e.x, e.normal, self.surface, rows, film.r],
             [self.cell, self._flux, self._bulge],
         )
-        film.launch_e(kg.control_area_e, [e.x, self.cell, self._inner, rows, film.r, film.n_e], [self.area])
+        film.launch_e(kc.control_area_e, [e.x, self.cell, self._inner, rows, film.r, film.n_e], [self.area])
         self._weigh_pairs()
         self.measure_volume()
 
@@ -81,8 +82,8 @@ class Geometry:
     def measure_volume(self) -> None:
         """Enclosed volume (11) and area into the gas slots, over the Voronoi cells."""
         film, e = self.film, self.state.e
-        film.launch_parts(km.volume_chunks, [e.x, self.cell, self._flux, self._bulge, film.n_e], [self._volume])
-        film.launch_one(km.store_volume, [self._volume], [self.state.gas])
+        film.launch_parts(kv.volume_chunks, [e.x, self.cell, self._flux, self._bulge, film.n_e], [self._volume])
+        film.launch_one(kv.store_volume, [self._volume], [self.state.gas])
 
     def update_density(self) -> None:
         """Number density (9) at the present positions."""

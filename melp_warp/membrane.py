@@ -9,7 +9,9 @@ from melp_warp import air
 from melp_warp.film import Film
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
+from melp_warp.kernels import gas as kg
 from melp_warp.kernels import membrane as km
+from melp_warp.kernels import motion as ko
 from melp_warp.launch import launch
 from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
 from melp_warp.neighbors import NeighborLists
@@ -170,12 +172,12 @@ class Membrane:
         if self.film.features.closed:
             self._find_motion(self.found)
             wp.copy(self.start, self.state.motion)
-            self.film.launch_e(km.hold_motion_e, [self.state.e.normal, self.found, self.state.motion], [self.state.e.u])
+            self.film.launch_e(ko.hold_motion_e, [self.state.e.normal, self.found, self.state.motion], [self.state.e.u])
         self._load(ahead, dt)
         change, unit = self._respond(dt)
         if self.film.features.closed:
             self._close_gas(change, unit, dt)
-            self.film.launch_one(km.push_motion, [self.rigid, dt], [self.state.motion])
+            self.film.launch_one(ko.push_motion, [self.rigid, dt], [self.state.motion])
         self.film.launch_e(
             km.apply_membrane_e,
             [self.state.e.normal, change, unit, self.state.gas, self.rigid, self.theta, dt],
@@ -190,11 +192,11 @@ class Membrane:
     def _find_motion(self, motion: wp.array) -> None:
         film, e = self.film, self.state.e
         film.launch_parts(
-            km.momentum_chunks,
+            ko.momentum_chunks,
             [e.normal, e.mass, self.geometry.area, e.u, self.added, film.n_e],
             [self.inertia, self.net],
         )
-        film.launch_one(km.solve_motion, [self.inertia, self.net], [motion])
+        film.launch_one(ko.solve_motion, [self.inertia, self.net], [motion])
 
     def _load(self, ahead: float, dt: float) -> None:
         film, e, m = self.film, self.state.e, self.film.material
@@ -219,11 +221,11 @@ class Membrane:
         if film.features.closed:
             sums = [self.moment, self.inertia, self.net, self.net_external, self.lifted]
             film.launch_parts(
-                km.net_force_chunks,
+                ko.net_force_chunks,
                 [*common, self.forces.body, film.surroundings.lift, self.added, film.n_e],
                 sums,
             )
-            film.launch_one(km.rigid_motion, sums, [self.rigid])
+            film.launch_one(ko.rigid_motion, sums, [self.rigid])
         film.launch_e(
             km.load_membrane_e,
             [*common, self.rigid, self.added, dt],
@@ -233,8 +235,8 @@ class Membrane:
     def _predict(self, ahead: float) -> None:
         film, e = self.film, self.state.e
         if film.features.closed:
-            film.launch_parts(km.mean_speed_chunks, [e.normal, self.geometry.area, e.u, film.n_e], [self.mean])
-            film.launch_one(km.mean_speed, [self.mean], [self.swelling])
+            film.launch_parts(ko.mean_speed_chunks, [e.normal, self.geometry.area, e.u, film.n_e], [self.mean])
+            film.launch_one(ko.mean_speed, [self.mean], [self.swelling])
         if self.rim is not None:
             self.rim.mirror_velocity()
         launch(
@@ -256,7 +258,7 @@ class Membrane:
     def _close_gas(self, change: wp.array, unit: wp.array, dt: float) -> None:
         film, e = self.film, self.state.e
         film.launch_parts(
-            km.swept_chunks,
+            kg.swept_chunks,
             [
                 e.u,
                 e.normal,
@@ -271,26 +273,26 @@ class Membrane:
             ],
             [self.swept],
         )
-        film.launch_one(km.close_gas, [self.swept, film.surroundings.pressure], [self.state.gas])
+        film.launch_one(kg.close_gas, [self.swept, film.surroundings.pressure], [self.state.gas])
 
     def recoil(self, traction: wp.array, dt: float) -> None:
         """Move a closed film as a whole against the sum of the tangential forces of its tension."""
         film, e = self.film, self.state.e
-        film.launch_parts(km.traction_chunks, [traction, self.geometry.area, film.n_e], [self.net])
+        film.launch_parts(ko.traction_chunks, [traction, self.geometry.area, film.n_e], [self.net])
         w = 2.0 * film.stiffness / film.material.thickness * (dt / film.radius) ** 2
         film.launch_one(
-            km.recoil,
+            ko.recoil,
             [self.moment, self.inertia, self.net, self.added, w / (1.0 + w), dt],
             [self.kick, self.state.motion],
         )
-        film.launch_e(km.apply_recoil_e, [e.normal, self.kick, self.theta], [e.u, self.u_mid])
+        film.launch_e(ko.apply_recoil_e, [e.normal, self.kick, self.theta], [e.u, self.u_mid])
 
     def find_frame(self) -> None:
         """Set `frame`, once all that moves the film as a whole in this step is known."""
-        self.film.launch_one(km.blend_motion, [self.start, self.state.motion, self.theta], [self.frame])
+        self.film.launch_one(ko.blend_motion, [self.start, self.state.motion, self.theta], [self.frame])
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""
         film, gas = self.film, self.state.gas
-        film.launch_one(km.find_offset, [film.surroundings.pressure, OFFSET_LIMIT * film.spacing], [gas])
-        film.launch_e(km.offset_surface_e, [self.state.e.normal, gas], [self.state.e.x])
+        film.launch_one(kg.find_offset, [film.surroundings.pressure, OFFSET_LIMIT * film.spacing], [gas])
+        film.launch_e(kg.offset_surface_e, [self.state.e.normal, gas], [self.state.e.x])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import warp as wp
 
@@ -235,8 +233,3 @@ def _fill_gas(film: Film, stepper: Stepper) -> None:
     require(pressure > 0.0, "pressure", film.surroundings.pressure, f"above {-gauge:.3g} Pa for this shape")
     gas[1], gas[2] = gauge, pressure * gas[0]
     state.gas.assign(gas)
-
-
-def with_numerics(scene: Scene, **changes) -> Scene:
-    """The same scene with other numerics."""
-    return dataclasses.replace(scene, numerics=dataclasses.replace(scene.numerics, **changes))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp.kernels import membrane as km
+from melp_warp.kernels import gas as kg
 from melp_warp.launch import launch
 from melp_warp.material import Surroundings
 from melp_warp.shapes import Ellipsoid, Sphere
@@ -22,7 +22,7 @@ def close_gas(volume, gauge, amount, swept, device):
     """Gas slots after `close_gas` for a swept volume swept[0] + swept[1] q + swept[2] q^2."""
     gas = wp.array([volume, gauge, amount, 0.0, 0.0, 0.0], dtype=wp.float64, device=device)
     parts = wp.array(np.array([0.25 * swept, 0.75 * swept]), dtype=wp.vec3d, device=device)
-    launch(km.close_gas, 1, [parts, P_ATM], [gas], device)
+    launch(kg.close_gas, 1, [parts, P_ATM], [gas], device)
     return gas.numpy()
 
 

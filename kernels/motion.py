@@ -1,0 +1,272 @@
+"""Motion of a closed film as a whole: momentum, outside forces, recoil."""
+
+import warp as wp
+
+from melp_warp.kernels.sph import tangential
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def mean_speed_chunks(
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    n: int,
+    # outputs
+    swept: wp.array(dtype=wp.vec2),
+):
+    """Parts of (sum a u.n, sum a)."""
+    c = wp.tid()
+    size = (n + swept.shape[0] - 1) // swept.shape[0]
+    total = wp.vec2()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += area[i] * wp.vec2(wp.dot(u[i], normal[i]), 1.0)
+    swept[c] = total
+
+
+@wp.kernel
+def mean_speed(swept: wp.array(dtype=wp.vec2), swelling: wp.array(dtype=float)):
+    """Mean normal speed of the film, swelling[0], m/s."""
+    total = wp.vec2()
+    for c in range(swept.shape[0]):
+        total += swept[c]
+    swelling[0] = total[0] / total[1]
+
+
+@wp.kernel
+def momentum_chunks(
+    normal: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    added: float,
+    n: int,
+    # outputs
+    inertia: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+):
+    """Parts of sum (m + added a) n n and of the momentum sum (m + added a) u_n n, with the air's share `added`."""
+    c = wp.tid()
+    size = (n + net.shape[0] - 1) // net.shape[0]
+    s0 = wp.mat33()
+    s1 = wp.vec3()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        ni = normal[i]
+        m = mass[i] + added * area[i]
+        s0 += m * wp.outer(ni, ni)
+        s1 += m * wp.dot(u[i], ni) * ni
+    inertia[c] = s0
+    net[c] = s1
+
+
+@wp.kernel
+def solve_motion(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3)):
+    """Velocity U of the film as a whole, (sum (m + added a) n n) U = sum (m + added a) u_n n. motion[0], m/s."""
+    s0 = wp.mat33()
+    s1 = wp.vec3()
+    for c in range(net.shape[0]):
+        s0 += inertia[c]
+        s1 += net[c]
+    motion[0] = wp.inverse(s0) * s1
+
+
+@wp.kernel
+def hold_motion_e(
+    normal: wp.array(dtype=wp.vec3),
+    found: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+):
+    """Give the film the translation `motion`, which outside forces alone change, in place of the one found. [n_e].
+
+    Momentum is a sum over a surface that has moved since: what turning normals and the implicit stiffness make of it
+    would let a wobbling bubble swim away.
+    """
+    i = wp.tid()
+    n = normal[i]
+    u[i] = u[i] + wp.dot(motion[0] - found[0], n) * n
+
+
+@wp.kernel
+def blend_motion(
+    start: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3), theta: float, frame: wp.array(dtype=wp.vec3)
+):
+    """Velocity of the film as a whole in the step: between those of its start and of its end. frame[0], m/s."""
+    frame[0] = start[0] + theta * (motion[0] - start[0])
+
+
+@wp.kernel
+def push_motion(rigid: wp.array(dtype=wp.vec3), dt: float, motion: wp.array(dtype=wp.vec3)):
+    """motion += dt times the acceleration of the film as a whole, rigid[2]."""
+    motion[0] = motion[0] + dt * rigid[2]
+
+
+@wp.kernel
+def net_force_chunks(
+    force: wp.array(dtype=float),
+    external: wp.array(dtype=float),
+    normal: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    body: wp.array(dtype=wp.vec3),
+    lift: float,
+    added: float,
+    n: int,
+    # outputs
+    moment: wp.array(dtype=wp.mat33),
+    inertia: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+    net_external: wp.array(dtype=wp.vec3),
+    lifted: wp.array(dtype=wp.vec3),
+):
+    """Sums over the film of a n n, a m n n, a f n, a f_ext n and of the gas's lift, in parts.
+
+    Args:
+        force: [n_e] Pa.
+        external: [n_e] Pa.
+        normal: [n] unit normals.
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        body: [n_e] acceleration by outside forces, m/s^2.
+        lift: share of the weight that the gas carries.
+        added: mass per area that the air adds to rigid translation, kg/m^2.
+        n: number of E.
+        moment: parts of sum a n n.
+        inertia: parts of sum (a m + a added) n n.
+        net: parts of sum a f n.
+        net_external: parts of sum a f_ext n.
+        lifted: parts of -sum lift m body.
+    """
+    c = wp.tid()
+    size = (n + net.shape[0] - 1) // net.shape[0]
+    s0 = wp.mat33()
+    s1 = wp.mat33()
+    s2 = wp.vec3()
+    s3 = wp.vec3()
+    s4 = wp.vec3()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        ni = normal[i]
+        nn = area[i] * wp.outer(ni, ni)
+        s0 += nn
+        s1 += (mass[i] / area[i] + added) * nn
+        s2 += area[i] * force[i] * ni
+        s3 += area[i] * external[i] * ni
+        s4 -= lift * mass[i] * body[i]
+    moment[c] = s0
+    inertia[c] = s1
+    net[c] = s2
+    net_external[c] = s3
+    lifted[c] = s4
+
+
+@wp.kernel
+def rigid_motion(
+    moment: wp.array(dtype=wp.mat33),
+    inertia: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+    net_external: wp.array(dtype=wp.vec3),
+    lifted: wp.array(dtype=wp.vec3),
+    # outputs
+    rigid: wp.array(dtype=wp.vec3),
+):
+    """What moves the film as a whole, from the sums of `net_force_chunks`.
+
+    Args:
+        moment: parts, as the next four.
+        inertia: parts.
+        net: parts.
+        net_external: parts.
+        lifted: parts.
+        rigid: [0] and [1], forces per area p.n that carry the sum of f and the lift (Pa); [2], the acceleration
+            (sum a m n n)^-1 (sum a f_ext n + lift), m/s^2.
+    """
+    s0 = wp.mat33()
+    s1 = wp.mat33()
+    s2 = wp.vec3()
+    s3 = wp.vec3()
+    s4 = wp.vec3()
+    for c in range(net.shape[0]):
+        s0 += moment[c]
+        s1 += inertia[c]
+        s2 += net[c]
+        s3 += net_external[c]
+        s4 += lifted[c]
+    inverse = wp.inverse(s0)
+    rigid[0] = inverse * s2
+    rigid[1] = inverse * s4
+    rigid[2] = wp.inverse(s1) * (s3 + s4)
+
+
+@wp.kernel
+def traction_chunks(
+    traction: wp.array(dtype=wp.vec3), area: wp.array(dtype=float), n: int, net: wp.array(dtype=wp.vec3)
+):
+    """Parts of the sum of a traction, N."""
+    c = wp.tid()
+    size = (n + net.shape[0] - 1) // net.shape[0]
+    total = wp.vec3()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += area[i] * traction[i]
+    net[c] = total
+
+
+@wp.kernel
+def recoil(
+    moment: wp.array(dtype=wp.mat33),
+    inertia: wp.array(dtype=wp.mat33),
+    net: wp.array(dtype=wp.vec3),
+    added: float,
+    stiff: float,
+    dt: float,
+    # outputs
+    kick: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+):
+    """Translations of surface and liquid by the tangential impulse J of uneven tension, an inner force.
+
+    The integral of 2 sigma kappa n + 2 grad_s sigma over a closed surface is zero, so the surface takes -J. The
+    tangential solve took the surface for fixed: the part of J that it found implicitly is shared by both masses, or two
+    bodies on a stiff spring would overshoot.
+
+    Args:
+        moment: parts of sum a n n.
+        inertia: parts of sum (m + added a) n n.
+        net: parts of J/dt.
+        added: mass per area of the air, kg/m^2.
+        stiff: implicit share w/(1 + w) of the lowest mode, w = (omega dt)^2.
+        dt: s.
+        kick: [0] added to the surface, [1] taken from the liquid, m/s.
+        motion: velocity of the film as a whole, m/s.
+    """
+    s0 = wp.mat33()
+    s1 = wp.mat33()
+    s2 = wp.vec3()
+    for c in range(net.shape[0]):
+        s0 += moment[c]
+        s1 += inertia[c]
+        s2 += net[c]
+    across = s1 - added * s0
+    along = wp.trace(across) * wp.identity(n=3, dtype=float) - across
+    share = 1.0 / (1.0 + stiff * wp.trace(along) / wp.trace(s1))
+    kick[0] = -share * dt * (wp.inverse(s1) * s2)
+    kick[1] = (1.0 - share) * dt * (wp.inverse(along) * s2)
+    motion[0] = motion[0] + kick[0]
+
+
+@wp.kernel
+def apply_recoil_e(
+    normal: wp.array(dtype=wp.vec3),
+    kick: wp.array(dtype=wp.vec3),
+    theta: float,
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+):
+    """Add the translations of `recoil`. [n_e], m/s."""
+    i = wp.tid()
+    n = normal[i]
+    k = wp.dot(kick[0], n)
+    u[i] = u[i] + k * n - tangential(kick[1], n)
+    u_mid[i] = u_mid[i] + theta * k
