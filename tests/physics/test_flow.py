@@ -36,26 +36,18 @@ def test_surfactant_evens_out_at_the_right_rate():
         pytest.param({"viscosity": 1e-4}, id="viscosity"),
     ],
 )
-@pytest.mark.slow
 def test_shear_flow_decays(force):
-    """u_x = U cos(k y) of a film without surfactant decays at d/m and nu k^2, within 2 %.
+    """u_x = U cos(k y) of a film without surfactant decays at d/m and nu k^2, within 2 %; along free-slip rims.
 
-    48 E to half a wave: coarser films suffer at their rim, where the flow is largest and the transfer between E and L
-    feeds it (see docs/validation.md).
+    Backward Euler takes half of 1/50 off the rate, the kernel adds 0.4 (k dx)^2 = 0.7 % to the viscous one.
     """
-    assert abs(v.shear_decay(**force, cells=48, count=50)["error"]) < 0.02
+    assert abs(v.shear_decay(**force, cells=24, l_per_e=4, count=50)["error"]) < 0.02
 
 
-@pytest.mark.parametrize(
-    "force",
-    [
-        pytest.param({"drag": 0.01}, id="drag"),
-        pytest.param({"viscosity": 1e-4}, id="viscosity"),
-    ],
-)
-def test_shear_flow_decays_coarse(force):
-    """The same with 24 E to half a wave and 4 % : the rim's share is first order in the spacing."""
-    assert abs(v.shear_decay(**force, cells=24, l_per_e=4, count=50)["error"]) < 0.04
+def test_a_rim_feeds_no_flow():
+    """Without viscosity or drag a flow along a free-slip rim keeps its speed or loses some: nothing drives it."""
+    run = v.shear_decay(drag=1e-8, cells=14, l_per_e=4, count=200, dt=1e-3)
+    assert -0.001 < run["measured"] * 200 * 1e-3 < 0.05
 
 
 def test_drainage_reaches_the_exact_profile():
@@ -104,7 +96,7 @@ def test_equilibrium_at_full_resolution():
 
 
 def test_eddies_fade_no_faster_than_theory():
-    """An APIC transfer takes 3/4 (K sigma)^4 of an eddy's speed, to leading order, and should not take much more."""
+    """An APIC transfer takes 1/2 (K sigma)^4 of an eddy's speed, to leading order, and should not take much more."""
     run = v.eddy_loss(32, eddies=2)
     assert run["measured"] < 1.3 * run["exact"]
 
