@@ -37,17 +37,17 @@ def test_free_fall(scheme, l_order):
     """
     run = v.free_fall(scheme=scheme, l_order=l_order)
     assert run["error"] < 1e-5
-    assert run["e_error"] < 1e-3
+    assert run["e_error"] < 2e-4
     assert run["speed_error"] < 1e-3
     assert run["radius_spread"] < 1e-3
     assert run["l_radius_spread"] < 1e-3
 
 
 def test_lighter_gas_carries_the_weight():
-    """lift = 1: the centre of mass hovers within 1 % of g t^2/2; as the liquid sinks in the film, the surface rises."""
+    """lift = 1: the centre of mass hovers to 0.5 % of g t^2/2; as the liquid sinks in the film, the surface rises."""
     run = v.free_fall(lift=1.0)
-    assert run["error"] < 0.01
-    assert run["e_error"] < 0.02
+    assert run["error"] < 0.005
+    assert run["e_error"] < 0.015
     assert run["radius_spread"] < 1e-3
 
 
