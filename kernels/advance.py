@@ -39,6 +39,7 @@ def advance_e(
     normal: wp.array(dtype=wp.vec3),
     u_mid: wp.array(dtype=float),
     drift: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
     dt: float,
     # outputs
@@ -52,18 +53,20 @@ def advance_e(
         normal: [n] unit normals.
         u_mid: [n_e] normal speed, m/s.
         drift: [n_e] tangential E velocity, m/s.
-        frame: velocity of the film as a whole, m/s.
+        region: [n] region of each E.
+        frame: [regions] velocity of each region as a whole, m/s.
         dt: s.
         x: [n] m.
     """
     i = wp.tid()
     n = normal[i]
-    x[i] = x[i] + dt * (u_mid[i] * n + tangential(drift[i] + frame[0], n))
+    x[i] = x[i] + dt * (u_mid[i] * n + tangential(drift[i] + frame[region[i]], n))
 
 
 @wp.kernel
 def advance_l(
     v: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
     end: wp.array(dtype=wp.vec3),
     dt: float,
@@ -76,7 +79,7 @@ def advance_l(
     `frame`. A midpoint scheme would otherwise leave the L of an accelerating bubble behind its E.
     """
     i = wp.tid()
-    x[i] = x[i] + dt * (v[i] + frame[0] - end[0])
+    x[i] = x[i] + dt * (v[i] + frame[region[i]] - end[region[i]])
 
 
 @wp.kernel

@@ -8,16 +8,23 @@ from melp_warp.kernels.sph import kernel_w, tangent_basis
 
 wp.set_module_options({"enable_backward": False})
 
-mat2x16 = wp.types.matrix(shape=(2, 16), dtype=wp.float32)
+CORNERS = 16
+"""Most corners of a cell."""
+
+mat3x16 = wp.types.matrix(shape=(3, CORNERS), dtype=wp.float32)
 
 
 @wp.func
-def clip_cell(cell: mat2x16, count: int, u: float, v: float, half: float):
-    """Cut a polygon by the line q.(u, v) = half, keeping the origin's side."""
-    kept = mat2x16()
+def clip_cell(cell: mat3x16, count: int, u: float, v: float, half: float, label: float):
+    """Cut a polygon by the line q.(u, v) = half, keeping the origin's side.
+
+    Columns of a cell are corners: coordinates and the label of the line that the edge to the next corner lies on.
+    """
+    kept = mat3x16()
     n = int(0)
     px = cell[0, count - 1]
     py = cell[1, count - 1]
+    pl = cell[2, count - 1]
     sp = px * u + py * v - half
     for m in range(count):
         qx = cell[0, m]
@@ -27,21 +34,24 @@ def clip_cell(cell: mat2x16, count: int, u: float, v: float, half: float):
             t = sp / (sp - sq)
             kept[0, n] = px + t * (qx - px)
             kept[1, n] = py + t * (qy - py)
+            kept[2, n] = wp.where(sp < 0.0, label, pl)
             n += 1
         if sq < 0.0 and n < 16:
             kept[0, n] = qx
             kept[1, n] = qy
+            kept[2, n] = cell[2, m]
             n += 1
         px = qx
         py = qy
+        pl = cell[2, m]
         sp = sq
     return kept, n
 
 
 @wp.func
-def square_cell(half: float) -> mat2x16:
-    """The square of side 2 half about the origin."""
-    cell = mat2x16()
+def square_cell(half: float) -> mat3x16:
+    """The square of side 2 half about the origin, its edges labelled -1."""
+    cell = mat3x16()
     cell[0, 0] = -half
     cell[1, 0] = -half
     cell[0, 1] = half
@@ -50,7 +60,34 @@ def square_cell(half: float) -> mat2x16:
     cell[1, 2] = half
     cell[0, 3] = -half
     cell[1, 3] = half
+    for m in range(4):
+        cell[2, m] = -1.0
     return cell
+
+
+@wp.func
+def write_star(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    cell: mat3x16,
+    count: int,
+    rows: Neighbors,
+    star: Neighbors,
+    weight: wp.array(dtype=float),
+):
+    """Write the neighbours that the edges of a cell are shared with, and w_ij = edge/distance."""
+    k = star.start[i]
+    for m in range(count):
+        q = m + 1
+        if q == count:
+            q = 0
+        if cell[2, m] >= 0.0:
+            j = rows.index[rows.start[i] + int(cell[2, m])]
+            edge = wp.length(wp.vec2(cell[0, q] - cell[0, m], cell[1, q] - cell[1, m]))
+            star.index[k] = j
+            weight[k] = edge / wp.length(x[j] - x[i])
+            k += 1
+    star.stop[i] = k
 
 
 @wp.kernel
@@ -64,6 +101,8 @@ def voronoi_cell_e(
     area: wp.array(dtype=float),
     flux: wp.array(dtype=wp.vec3),
     bulge: wp.array(dtype=float),
+    star: Neighbors,
+    weight: wp.array(dtype=float),
 ):
     """Voronoi cell of each E on its fitted surface: area and what the volume (11) needs.
 
@@ -83,6 +122,8 @@ def voronoi_cell_e(
         area: [n_e] m^2.
         flux: [n_e] m^2.
         bulge: [n_e] m^3.
+        star: the neighbours that the cell's edges are shared with, in order around it; null where nobody asks.
+        weight: [CORNERS n_e] edge over distance of those neighbours: w_ij of the Laplacian sum_j w_ij (f_j - f_i).
     """
     i = wp.tid()
     p = x[i]
@@ -101,7 +142,8 @@ def voronoi_cell_e(
                 u = wp.dot(d, e1)
                 v = wp.dot(d, e2)
                 z = wp.dot(d, n)
-                cell, count = clip_cell(cell, count, u, v, 0.5 * (u * u + v * v + 0.444 * z * z))
+                half = 0.5 * (u * u + v * v + 0.444 * z * z)
+                cell, count = clip_cell(cell, count, u, v, half, float(k - rows.start[i]))
                 reach = float(0.0)
                 for m in range(count):
                     reach = wp.max(reach, cell[0, m] * cell[0, m] + cell[1, m] * cell[1, m])
@@ -134,6 +176,8 @@ def voronoi_cell_e(
     area[i] = flat + 0.5 * stretch
     flux[i] = flat * n - (q11 * first[0] + q12 * first[1]) * e1 - (q12 * first[0] + q22 * first[1]) * e2
     bulge[i] = -0.5 * (q11 * uu + 2.0 * q12 * uv + q22 * vv)
+    if weight:
+        write_star(i, x, cell, count, rows, star, weight)
 
 
 @wp.kernel

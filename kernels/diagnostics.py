@@ -100,18 +100,19 @@ def find_broken(
 @wp.kernel
 def travel_chunks(
     v: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
     dt: float,
     n: int,
     # outputs
     part: wp.array(dtype=float),
 ):
-    """Parts of the largest distance moved in a step relative to the film as a whole, m."""
+    """Parts of the largest distance moved in a step relative to the region as a whole, m."""
     c = wp.tid()
     size = (n + part.shape[0] - 1) // part.shape[0]
     far = float(0.0)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
-        far = wp.max(far, wp.length_sq(v[i] - frame[0]))
+        far = wp.max(far, wp.length_sq(v[i] - frame[region[i]]))
     part[c] = dt * wp.sqrt(far)
 
 
@@ -119,6 +120,7 @@ def travel_chunks(
 def moved_chunks(
     x: wp.array(dtype=wp.vec3),
     x_old: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
     dt: float,
     n: int,
@@ -130,5 +132,5 @@ def moved_chunks(
     size = (n + part.shape[0] - 1) // part.shape[0]
     far = float(0.0)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
-        far = wp.max(far, wp.length_sq(x[i] - x_old[i] - dt * frame[0]))
+        far = wp.max(far, wp.length_sq(x[i] - x_old[i] - dt * frame[region[i]]))
     part[c] = wp.sqrt(far)

@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from melp_warp.kernels.regions import part_range
+
 wp.set_module_options({"enable_backward": False})
 
 # Slots of the gas array (float64).
@@ -54,7 +56,7 @@ def close_gas(
     swept: wp.array(dtype=wp.vec3d),
     p_atm: wp.float64,
     # outputs
-    gas: wp.array(dtype=wp.float64),
+    gas: wp.array2d(dtype=wp.float64),
 ):
     """Pressure increment q with (p + q) V(q) = n_0 R T at the end of the step; the gauge pressure is carried.
 
@@ -64,10 +66,10 @@ def close_gas(
     total = wp.vec3d()
     for c in range(swept.shape[0]):
         total += swept[c]
-    p = p_atm + gas[GAUGE]
-    v = gas[VOLUME] + total[0]
+    p = p_atm + gas[0, GAUGE]
+    v = gas[0, VOLUME] + total[0]
     s = total[1]
-    amount = gas[AMOUNT]
+    amount = gas[0, AMOUNT]
     low = p * v - amount
     mid = v + p * s
     root = wp.sqrt(mid * mid - wp.float64(4.0) * s * low)
@@ -81,8 +83,8 @@ def close_gas(
         slope = volume + (p + q) * (s + wp.float64(2.0) * total[2] * q)
         if volume > wp.float64(0.0) and slope > wp.float64(0.0):
             q -= ((p + q) * volume - amount) / slope
-    gas[INCREMENT] = q
-    gas[GAUGE] = gas[GAUGE] + q
+    gas[0, INCREMENT] = q
+    gas[0, GAUGE] = gas[0, GAUGE] + q
 
 
 @wp.kernel
@@ -91,7 +93,7 @@ def volume_chunks(
     cell: wp.array(dtype=float),
     flux: wp.array(dtype=wp.vec3),
     bulge: wp.array(dtype=float),
-    n: int,
+    first: wp.array(dtype=wp.int32),
     # outputs
     part: wp.array(dtype=wp.vec2d),
 ):
@@ -102,44 +104,53 @@ def volume_chunks(
         cell: [n_e] cell areas, m^2.
         flux: [n_e] m^2, see `voronoi_cell_e`.
         bulge: [n_e] m^3, likewise.
-        n: number of E.
+        first: see `part_range`.
         part: parts of (volume, area), m^3 and m^2.
     """
     c = wp.tid()
-    size = (n + part.shape[0] - 1) // part.shape[0]
+    start, stop = part_range(c, first, part.shape[0])
     total = wp.vec2d()
-    o = x[0]
-    for i in range(c * size, wp.min(n, (c + 1) * size)):
+    o = x[first[c // (part.shape[0] // (first.shape[0] - 1))]]
+    for i in range(start, stop):
         triple = wp.float64(wp.dot(x[i] - o, flux[i])) + wp.float64(bulge[i])
         total += wp.vec2d(triple / wp.float64(3.0), wp.float64(cell[i]))
     part[c] = total
 
 
 @wp.kernel
-def store_volume(part: wp.array(dtype=wp.vec2d), gas: wp.array(dtype=wp.float64)):
-    """Put the measured volume and area into the gas slots."""
+def store_volume_r(part: wp.array(dtype=wp.vec2d), gas: wp.array2d(dtype=wp.float64)):
+    """Put each region's measured volume and area into its gas slots."""
+    g = wp.tid()
+    per = part.shape[0] // gas.shape[0]
     total = wp.vec2d()
-    for c in range(part.shape[0]):
+    for c in range(g * per, (g + 1) * per):
         total += part[c]
-    gas[VOLUME] = total[0]
-    gas[AREA] = total[1]
+    gas[g, VOLUME] = total[0]
+    gas[g, AREA] = total[1]
 
 
 @wp.kernel
-def find_offset(p_atm: wp.float64, limit: wp.float64, gas: wp.array(dtype=wp.float64)):
+def find_offset_r(p_atm: wp.float64, limit: wp.float64, gas: wp.array2d(dtype=wp.float64)):
     """Normal offset (at most `limit`, m) that gives the measured volume the size its pressure asks for.
 
     The swept volume that `close_gas` predicts is of second order in the displacement; what it misses is mended here
     and not left to the next step's pressure. The volume slot then holds the volume after the offset.
     """
-    wanted = gas[AMOUNT] / (p_atm + gas[GAUGE])
-    offset = wp.clamp((wanted - gas[VOLUME]) / gas[AREA], -limit, limit)
-    gas[OFFSET] = offset
-    gas[VOLUME] = gas[VOLUME] + offset * gas[AREA]
+    g = wp.tid()
+    wanted = gas[g, AMOUNT] / (p_atm + gas[g, GAUGE])
+    offset = wp.clamp((wanted - gas[g, VOLUME]) / gas[g, AREA], -limit, limit)
+    gas[g, OFFSET] = offset
+    gas[g, VOLUME] = gas[g, VOLUME] + offset * gas[g, AREA]
 
 
 @wp.kernel
-def offset_surface_e(normal: wp.array(dtype=wp.vec3), gas: wp.array(dtype=wp.float64), x: wp.array(dtype=wp.vec3)):
-    """Move E along their normals by the offset in the gas slots. [n_e], m."""
+def offset_surface_e(
+    normal: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    gas: wp.array2d(dtype=wp.float64),
+    # outputs
+    x: wp.array(dtype=wp.vec3),
+):
+    """Move E along their normals by the offset in the gas slots of their region. [n_e], m."""
     i = wp.tid()
-    x[i] = x[i] + float(gas[OFFSET]) * normal[i]
+    x[i] = x[i] + float(gas[region[i], OFFSET]) * normal[i]

@@ -9,6 +9,7 @@ from typing import Any
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.regions import part_range
 
 wp.set_module_options({"enable_backward": False})
 
@@ -428,3 +429,58 @@ for _kernel, _names in (
 ):
     for _dtype in (wp.float32, wp.vec3):
         wp.overload(_kernel, {_name: wp.array(dtype=_dtype) for _name in _names})
+
+
+@wp.kernel
+def region_dot_chunks(
+    a: wp.array(dtype=float), b: wp.array(dtype=float), first: wp.array(dtype=wp.int32), partial: wp.array(dtype=float)
+):
+    """Parts of each region's sum of a_i b_i."""
+    c = wp.tid()
+    start, stop = part_range(c, first, partial.shape[0])
+    total = float(0.0)
+    for i in range(start, stop):
+        total += a[i] * b[i]
+    partial[c] = total
+
+
+@wp.kernel
+def weigh_gas_r(partial: wp.array(dtype=float), stiff: wp.array(dtype=float), weight: wp.array(dtype=float)):
+    """weight = stiff times each region's sum. [regions]."""
+    g = wp.tid()
+    per = partial.shape[0] // stiff.shape[0]
+    total = float(0.0)
+    for c in range(g * per, (g + 1) * per):
+        total += partial[c]
+    weight[g] = stiff[g] * total
+
+
+@wp.kernel
+def add_gas_e(
+    weight: wp.array(dtype=float),
+    sweep: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
+    # outputs
+    y: wp.array(dtype=float),
+):
+    """y += sweep_i weight of the region: the gas's part of A x, stiff s s^T x. [n]."""
+    i = wp.tid()
+    y[i] = y[i] + sweep[i] * weight[region[i]]
+
+
+@wp.kernel
+def scale_sweep_e(sweep: wp.array(dtype=float), inverse: wp.array(dtype=float), scaled: wp.array(dtype=float)):
+    """s_i/A_ii. [n]."""
+    i = wp.tid()
+    scaled[i] = sweep[i] * inverse[i]
+
+
+@wp.kernel
+def soften_gas_r(partial: wp.array(dtype=float), stiff: wp.array(dtype=float), soft: wp.array(dtype=float)):
+    """-k/(1 + k s^T D^-1 s) of the Sherman-Morrison inverse of D + k s s^T. [regions]."""
+    g = wp.tid()
+    per = partial.shape[0] // stiff.shape[0]
+    total = float(0.0)
+    for c in range(g * per, (g + 1) * per):
+        total += partial[c]
+    soft[g] = -stiff[g] / (1.0 + stiff[g] * total)

@@ -35,7 +35,7 @@ def film_force_e(
     normal: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=float),
     area: wp.array(dtype=float),
-    gas: wp.array(dtype=wp.float64),
+    gas: wp.array2d(dtype=wp.float64),
     tension: float,
     slope: float,
     body: wp.array(dtype=wp.vec3),
@@ -60,7 +60,7 @@ def film_force_e(
     """
     i = wp.tid()
     sigma = tension - slope * gamma[i]
-    force[i] = 2.0 * sigma * kappa[i] + float(gas[GAUGE])
+    force[i] = 2.0 * sigma * kappa[i] + float(gas[0, GAUGE])
     external[i] = mass[i] / area[i] * wp.dot(body[i], normal[i])
 
 
@@ -134,7 +134,7 @@ def apply_membrane_e(
     normal: wp.array(dtype=wp.vec3),
     change: wp.array(dtype=float),
     response: wp.array(dtype=float),
-    gas: wp.array(dtype=wp.float64),
+    gas: wp.array2d(dtype=wp.float64),
     rigid: wp.array(dtype=wp.vec3),
     theta: float,
     dt: float,
@@ -157,7 +157,7 @@ def apply_membrane_e(
     """
     i = wp.tid()
     n = normal[i]
-    q = float(gas[INCREMENT])
+    q = float(gas[0, INCREMENT])
     delta = change[i] + dt * wp.dot(rigid[2], n)
     push = q * response[i]
     u_mid[i] = wp.dot(u[i], n) + theta * delta + push

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from melp_warp.kernels.regions import part_range
 from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -40,20 +41,21 @@ def momentum_chunks(
     mass: wp.array(dtype=float),
     area: wp.array(dtype=float),
     u: wp.array(dtype=wp.vec3),
-    added: float,
-    n: int,
+    added: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
     # outputs
     inertia: wp.array(dtype=wp.mat33),
     net: wp.array(dtype=wp.vec3),
 ):
-    """Parts of sum (m + added a) n n and of the momentum sum (m + added a) u_n n, with the air's share `added`."""
+    """Parts of sum (m + added a) n n and the momentum sum (m + added a) u_n n, the air's share `added` by region."""
     c = wp.tid()
-    size = (n + net.shape[0] - 1) // net.shape[0]
+    start, stop = part_range(c, first, net.shape[0])
+    air = added[c // (net.shape[0] // added.shape[0])]
     s0 = wp.mat33()
     s1 = wp.vec3()
-    for i in range(c * size, wp.min(n, (c + 1) * size)):
+    for i in range(start, stop):
         ni = normal[i]
-        m = mass[i] + added * area[i]
+        m = mass[i] + air * area[i]
         s0 += m * wp.outer(ni, ni)
         s1 += m * wp.dot(u[i], ni) * ni
     inertia[c] = s0
@@ -61,14 +63,16 @@ def momentum_chunks(
 
 
 @wp.kernel
-def solve_motion(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3)):
-    """Velocity U of the film as a whole, (sum (m + added a) n n) U = sum (m + added a) u_n n. motion[0], m/s."""
+def solve_motion_r(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3)):
+    """Velocity U of each region as a whole, (sum (m + added a) n n) U = sum (m + added a) u_n n. [regions], m/s."""
+    g = wp.tid()
+    per = net.shape[0] // motion.shape[0]
     s0 = wp.mat33()
     s1 = wp.vec3()
-    for c in range(net.shape[0]):
+    for c in range(g * per, (g + 1) * per):
         s0 += inertia[c]
         s1 += net[c]
-    motion[0] = wp.inverse(s0) * s1
+    motion[g] = wp.inverse(s0) * s1
 
 
 @wp.kernel

@@ -5,6 +5,11 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 
+SAME = wp.constant(0)
+OTHER = wp.constant(1)
+ALL = wp.constant(2)
+
+
 @wp.struct
 class Neighbors:
     """Row i holds index[start[i]:stop[i]]."""
@@ -20,7 +25,9 @@ def fill_neighbors(
     x: wp.array(dtype=wp.vec3),
     source: wp.array(dtype=wp.vec3),
     radius: float,
-    same: int,
+    region_x: wp.array(dtype=wp.int32),
+    region: wp.array(dtype=wp.int32),
+    pick: int,
     stride: int,
     # outputs
     rows: Neighbors,
@@ -28,15 +35,19 @@ def fill_neighbors(
 ):
     """List the `source` points within `radius` of each x in rows of room `stride`, in one query.
 
-    `wanted` is the length of the row asked for; what is beyond `stride` is left out. `same` = 1 leaves a point out of
-    its own row. Row starts are set beforehand.
+    `wanted` is the length of the row asked for; what is beyond `stride` is left out. `pick` is SAME for
+    points of the same set and region but not the point itself, OTHER for those of other regions, and ALL for the same
+    region of another set; a null `region` stands for a single one. Row starts are set beforehand.
     """
     i = wp.tid()
     p = x[i]
     first = rows.start[i]
     n = int(0)
     for j in wp.hash_grid_query(grid, p, radius):
-        if wp.length_sq(source[j] - p) <= radius * radius and (same == 0 or j != i):
+        wanted_here = pick != SAME or j != i
+        if region:
+            wanted_here = wanted_here and (region[j] == region_x[i]) != (pick == OTHER)
+        if wanted_here and wp.length_sq(source[j] - p) <= radius * radius:
             if n < stride:
                 rows.index[first + n] = j
             n += 1

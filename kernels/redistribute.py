@@ -4,18 +4,19 @@ import warp as wp
 
 from melp_warp.kernels.mls import Quadric, gradient_at
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.regions import part_range
 from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def spread_chunks(density: wp.array(dtype=float), n: int, part: wp.array(dtype=wp.vec4)):
+def spread_chunks(density: wp.array(dtype=float), first: wp.array(dtype=wp.int32), part: wp.array(dtype=wp.vec4)):
     """Parts of (min delta, max delta, sum 1/delta, sum 1/delta^2)."""
     c = wp.tid()
-    size = (n + part.shape[0] - 1) // part.shape[0]
+    start, stop = part_range(c, first, part.shape[0])
     total = wp.vec4(1.0e30, 0.0, 0.0, 0.0)
-    for i in range(c * size, wp.min(n, (c + 1) * size)):
+    for i in range(start, stop):
         inverse = 1.0 / density[i]
         total = wp.vec4(
             wp.min(total[0], density[i]), wp.max(total[1], density[i]), total[2] + inverse, total[3] + inverse * inverse
@@ -24,28 +25,30 @@ def spread_chunks(density: wp.array(dtype=float), n: int, part: wp.array(dtype=w
 
 
 @wp.kernel
-def summarize_spread(part: wp.array(dtype=wp.vec4), threshold: float, spread: wp.array(dtype=float)):
-    """spread = [(delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold]."""
+def summarize_spread_r(part: wp.array(dtype=wp.vec4), threshold: float, spread: wp.array(dtype=wp.vec3)):
+    """For each region ((delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold)."""
+    g = wp.tid()
+    per = part.shape[0] // spread.shape[0]
     low = float(1.0e30)
     high = float(0.0)
     s1 = float(0.0)
     s2 = float(0.0)
-    for c in range(part.shape[0]):
+    for c in range(g * per, (g + 1) * per):
         p = part[c]
         low = wp.min(low, p[0])
         high = wp.max(high, p[1])
         s1 += p[2]
         s2 += p[3]
     mean = s1 / s2
-    spread[0] = (high - low) / mean
-    spread[1] = mean
-    spread[2] = wp.where(spread[0] > threshold, 1.0, 0.0)
+    width = (high - low) / mean
+    spread[g] = wp.vec3(width, mean, wp.where(width > threshold, 1.0, 0.0))
 
 
 @wp.kernel
 def load_pressure_e(
     density: wp.array(dtype=float),
-    spread: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
+    spread: wp.array(dtype=wp.vec3),
     # outputs
     b: wp.array(dtype=float),
     start: wp.array(dtype=float),
@@ -53,7 +56,8 @@ def load_pressure_e(
     """Right-hand side of (20), -lap_s C = (delta - mean)/delta times the area; zero where E are even enough. [n_e]."""
     i = wp.tid()
     d = density[i]
-    b[i] = spread[2] * (d - spread[1]) / (d * d)
+    s = spread[region[i]]
+    b[i] = s[2] * (d - s[1]) / (d * d)
     start[i] = 0.0
 
 

@@ -270,6 +270,7 @@ def interpolate_velocity_l(
     v_l: wp.array(dtype=wp.vec3),
     affine_l: wp.array(dtype=wp.mat33),
     normal_l: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
     half_dt: float,
     x_e: wp.array(dtype=wp.vec3),
@@ -285,7 +286,7 @@ def interpolate_velocity_l(
     The path is that along the film and relative to the film as a whole: E have not moved yet.
     """
     i = wp.tid()
-    p = x_l[i] + half_dt * tangential(v_l[i] - frame[0], normal_l[i])
+    p = x_l[i] + half_dt * tangential(v_l[i] - frame[region[i]], normal_l[i])
     total = float(0.0)
     first = wp.vec3()
     velocity = wp.vec3()

@@ -46,21 +46,21 @@ class EulerianAdvance:
             [self._smoothed],
         )
         wp.copy(e.drift, self._smoothed)
-        film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, frame, dt], [e.x])
+        film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, e.region, frame, dt], [e.x])
 
 
 class Redistribution:
     """Even spacing of E by pseudo-pressure (20), Algorithm 5.
 
     Attributes:
-        spread: [3] (delta_max - delta_min)/delta_mean, delta_mean (1/m^2), 1 if E were shifted.
+        spread: [regions] (delta_max - delta_min)/delta_mean, delta_mean (1/m^2), 1 if E were shifted.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
         self.solver = ConjugateGradient(operator, film.total, wp.float32, SHIFT_TOLERANCE, SHIFT_ITERATIONS)
-        self.spread = film.zeros(3)
+        self.spread = film.zeros(film.regions, wp.vec3)
         self._part = film.parts(wp.vec4)
         self._x, self._u, self._drift = (film.zeros(film.n_e, wp.vec3) for _ in range(3))
 
@@ -68,9 +68,9 @@ class Redistribution:
         """Shift E once towards even density; nothing moves where the spread is below the scene's threshold."""
         film, e, geometry, rows = self.film, self.state.e, self.geometry, self.lists.ee.rows
         geometry.update_density()
-        film.launch_parts(kr.spread_chunks, [geometry.density, film.n_e], [self._part])
-        film.launch_one(kr.summarize_spread, [self._part, film.numerics.spread], [self.spread])
-        film.launch_e(kr.load_pressure_e, [geometry.density, self.spread], [self.solver.b, self.solver.x])
+        film.launch_parts(kr.spread_chunks, [geometry.density, film.first], [self._part])
+        film.launch_regions(kr.summarize_spread_r, [self._part, film.numerics.spread], [self.spread])
+        film.launch_e(kr.load_pressure_e, [geometry.density, e.region, self.spread], [self.solver.b, self.solver.x])
         self.solver.solve()
         film.launch_e(
             kr.shift_e,
@@ -113,6 +113,7 @@ class LagrangianAdvance:
                 lag.v,
                 lag.affine,
                 lag.normal,
+                lag.region,
                 frame,
                 0.5 * dt,
                 Shared(x_e),
@@ -128,7 +129,7 @@ class LagrangianAdvance:
     def advance(self, v: wp.array, frame: wp.array, end: wp.array, dt: float) -> None:
         """Move L by dt (v + frame - end), project them onto the surface and keep them inside the rim (Algorithm 7)."""
         film, lag = self.film, self.state.l
-        film.launch_l(ka.advance_l, [v, frame, end, dt], [lag.x])
+        film.launch_l(ka.advance_l, [v, lag.region, frame, end, dt], [lag.x])
         if film.features.moving:
             self.project()
         if film.rim is not None:

@@ -28,6 +28,11 @@ def rigid_added_mass(air_density: float, radius: float) -> float:
     return 1.5 * air_density * radius if np.isfinite(radius) else 0.0
 
 
+def film_added_mass(air_density: float, radius):
+    """A of mode n = 2, 5/6 rho_air R, kg/m^2: what a foam's films take along, whatever the length of the wave."""
+    return 5.0 / 6.0 * air_density * radius
+
+
 def fit_poles(low: float, high: float, air_density: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Poles s_k > 0 and weights w_k > 0 with A(lambda) = sum_k w_k/(lambda + s_k) on [low, high].
 

@@ -1,4 +1,4 @@
-"""The command line: `melp-warp run | scenes | preview | check`."""
+"""The command line: `melp-warp run | scenes | preview | check | measure`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 from melp_warp import __version__
 from melp_warp.errors import InputError, SimulationError
+from melp_warp.tables import columns
 
 OK, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -66,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_scenes(commands)
     _add_preview(commands)
     _add_check(commands)
+    _add_measure(commands)
     return parser
 
 
@@ -117,6 +119,22 @@ def _add_check(commands: argparse._SubParsersAction) -> None:
     check.set_defaults(command=_check)
 
 
+def _add_measure(commands: argparse._SubParsersAction) -> None:
+    measure = commands.add_parser(
+        "measure",
+        help="measure the bubbles of a frame",
+        description="Measure the bubbles of a frame: volumes, radii, partitions and the angles at which films meet.",
+    )
+    measure.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    measure.add_argument("--frame", metavar="N", type=int, help="frame number (default: the last)")
+    measure.add_argument("--json", metavar="FILE", type=Path, help="write all numbers as JSON as well")
+    measure.add_argument(
+        "--set", choices=("film", "e"), dest="which", help="particles to measure (default: E where the cache has them)"
+    )
+    measure.add_argument("--spacing", metavar="M", type=float, help="E spacing, m (default: from the particles)")
+    measure.set_defaults(command=_measure)
+
+
 def _run(options: argparse.Namespace) -> int:
     from melp_warp import runner
     from melp_warp.registry import load_scene
@@ -149,7 +167,7 @@ def _scenes(options: argparse.Namespace) -> int:
     from melp_warp.registry import load_scene, scene_names
 
     if options.scene is None:
-        print(_columns([(name, load_scene(name).description) for name in scene_names()]))
+        print(columns([(name, load_scene(name).description) for name in scene_names()]))
         return OK
     script = load_scene(options.scene)
     rows = [("key", "value", "unit", "meaning", "allowed")]
@@ -165,14 +183,8 @@ def _scenes(options: argparse.Namespace) -> int:
             )
         )
     print(f"{script.name}: {script.description}\n")
-    print(_columns(rows))
+    print(columns(rows))
     return OK
-
-
-def _columns(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of text as lines with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
 def _preview(options: argparse.Namespace) -> int:
@@ -192,4 +204,16 @@ def _check(options: argparse.Namespace) -> int:
     if problems:
         return FAILED
     print(f"{options.folder}: no problem found")
+    return OK
+
+
+def _measure(options: argparse.Namespace) -> int:
+    import json
+
+    from melp_warp.measure import measure_cache
+
+    found = measure_cache(options.folder, options.frame, options.which, options.spacing)
+    if options.json is not None:
+        options.json.write_text(json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
+    print(found.table())
     return OK

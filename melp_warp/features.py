@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from melp_warp.cluster import Cluster
 from melp_warp.scene import Scene
 
 
@@ -20,6 +21,7 @@ class Features:
         viscous: in-plane viscosity.
         recoils: the film is closed and its uneven tension pushes liquid along it, so it moves the other way.
         air: the air's added mass takes part in the normal motion.
+        foam: there are several regions, or walls, to touch.
     """
 
     closed: bool
@@ -30,6 +32,7 @@ class Features:
     viscous: bool
     recoils: bool
     air: bool
+    foam: bool
 
     @classmethod
     def of(cls, scene: Scene) -> Features:
@@ -43,7 +46,8 @@ class Features:
             lagrangian=lagrangian,
             rim=not scene.shape.closed,
             marangoni=marangoni,
-            recoils=marangoni and scene.shape.closed,
+            recoils=marangoni and scene.shape.closed and not isinstance(scene.shape, Cluster),
             viscous=lagrangian and scene.material.viscosity > 0.0,
+            foam=isinstance(scene.shape, Cluster),
             air=moving and scene.surroundings.air == "added_mass",
         )

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from melp_warp.cluster import Wall
 from melp_warp.features import Features
 from melp_warp.launch import launch, launch_rows
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 
 CHUNKS = 64
-"""Number of parts in which sums are taken."""
+"""Number of parts in which the sums over a single region are taken; more regions share them, at least four each."""
 
 
 @dataclass
@@ -34,6 +35,10 @@ class Film:
         n_e: number of E.
         n_b: number of boundary particles.
         n_l: number of L.
+        first: [regions + 1] region g holds E first[g] to first[g + 1].
+        tension: [regions] sigma_0, N/m.
+        labels: the scene's number of each region.
+        walls: planes that a foam touches.
         radius: radius of the sphere of the film's volume, for the air's added mass; infinite for an open film, m.
     """
 
@@ -46,6 +51,10 @@ class Film:
     n_e: int
     n_b: int
     n_l: int
+    first: wp.array
+    tension: wp.array
+    labels: tuple[int, ...] = (0,)
+    walls: tuple[Wall, ...] = ()
     rim: RimArrays | None = None
     radius: float = float("inf")
 
@@ -55,9 +64,19 @@ class Film:
         return self.n_e + self.n_b
 
     @property
+    def regions(self) -> int:
+        """Number of regions."""
+        return self.first.shape[0] - 1
+
+    @property
     def r(self) -> float:
         """Kernel support radius, m."""
         return self.numerics.support * self.spacing
+
+    @property
+    def contact_reach(self) -> float:
+        """Distance within which E of different regions know of each other, m."""
+        return max(2.2 * self.numerics.border, 3.0) * self.spacing
 
     @property
     def gravity(self) -> wp.vec3:
@@ -81,7 +100,7 @@ class Film:
 
     def parts(self, dtype=wp.float32) -> wp.array:
         """Room for the parts of a sum."""
-        return self.zeros(CHUNKS, dtype)
+        return self.zeros(self.regions * max(4, CHUNKS // self.regions), dtype)
 
     def launch_e(self, kernel, inputs, outputs=()) -> None:
         """One thread an E."""
@@ -93,7 +112,11 @@ class Film:
 
     def launch_parts(self, kernel, inputs, outputs=()) -> None:
         """One thread a part of a sum."""
-        launch(kernel, CHUNKS, inputs, outputs, self.device)
+        launch(kernel, outputs[0].shape[0], inputs, outputs, self.device)
+
+    def launch_regions(self, kernel, inputs, outputs=()) -> None:
+        """One thread a region."""
+        launch(kernel, self.regions, inputs, outputs, self.device)
 
     def launch_one(self, kernel, inputs, outputs=()) -> None:
         """A single thread."""

@@ -6,10 +6,12 @@ import warp as wp
 
 from melp_warp.film import Film
 from melp_warp.kernels import cells as kc
+from melp_warp.kernels import foam as kf
 from melp_warp.kernels import gas as kv
 from melp_warp.kernels import geometry as kg
 from melp_warp.kernels.mls import Quadric
-from melp_warp.neighbors import NeighborLists
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.neighbors import NeighborLists, fixed_rows
 from melp_warp.state import State
 
 RIM_WEIGHT = 2.0
@@ -32,6 +34,10 @@ class Geometry:
         area: [n_e] control areas, m^2.
         density: [n_e] number density with boundary particles, 1/m^2.
         kappa: [n_e] sum of principal curvatures at the place last asked for, 1/m.
+        star: in foams, the neighbours across the edges of each Voronoi cell.
+        tie: [CORNERS n_e] in foams, w_ij of the star's pairs, symmetric: sum_j w_ij (x_j - x_i) is minus the area's
+            gradient.
+        vector: [n_e] in foams, gradient of the volume of the polyhedron of stars, m^2.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists):
@@ -44,6 +50,11 @@ class Geometry:
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
+        self.star, self._found, self.tie, self.vector = Neighbors(), None, None, None
+        if film.features.foam:
+            self.star = fixed_rows(film.n_e, kc.CORNERS, film.device)
+            self._found, self.tie = (film.zeros(film.n_e * kc.CORNERS) for _ in range(2))
+            self.vector = film.zeros(film.n_e, wp.vec3)
 
     def update(self) -> None:
         """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
@@ -58,11 +69,14 @@ class Geometry:
         film.launch_e(
             kc.voronoi_cell_e,
             [e.x, e.normal, self.surface, rows, film.r],
-            [self.cell, self._flux, self._bulge],
+            [self.cell, self._flux, self._bulge, self.star, self._found],
         )
         film.launch_e(kc.control_area_e, [e.x, self.cell, self._inner, rows, film.r, film.n_e], [self.area])
         self._weigh_pairs()
         self.measure_volume()
+        if film.features.foam:
+            film.launch_e(kf.pair_star_e, [self.star, self._found], [self.tie])
+            film.launch_e(kf.star_vector_e, [e.x, self.star], [self.vector])
 
     def set_area(self, area: wp.array) -> None:
         """Take control areas found otherwise, for a film whose E stay where they are."""
@@ -82,8 +96,8 @@ class Geometry:
     def measure_volume(self) -> None:
         """Enclosed volume (11) and area into the gas slots, over the Voronoi cells."""
         film, e = self.film, self.state.e
-        film.launch_parts(kv.volume_chunks, [e.x, self.cell, self._flux, self._bulge, film.n_e], [self._volume])
-        film.launch_one(kv.store_volume, [self._volume], [self.state.gas])
+        film.launch_parts(kv.volume_chunks, [e.x, self.cell, self._flux, self._bulge, film.first], [self._volume])
+        film.launch_regions(kv.store_volume_r, [self._volume], [self.state.gas])
 
     def update_density(self) -> None:
         """Number density (9) at the present positions."""

@@ -124,6 +124,71 @@ class ConjugateGradient(_Solver):
         self._launch(k.set_beta, [self.part_a, self.control, 1.0], [self.scalar, self.go], dim=1)
 
 
+class GasConjugateGradient(ConjugateGradient):
+    """Conjugate gradients for A + sum_g k_g s_g s_g^T: the gas of each region resists the volume s_g.x it would lose.
+
+    Preconditioned with D + sum_g k_g s_g s_g^T, inverted exactly: the gas is far stiffer than the film, and is so out
+    of the way. The gas of regions that touch is solved for together, through A.
+
+    Args:
+        region: [n] region of each unknown.
+        first: [regions + 1] first unknown of each region.
+        parts: number of parts in which the regions' sums are taken.
+
+    Attributes:
+        sweep: [n] s, filled by the owner.
+        stiff: [regions] k, filled by the owner.
+    """
+
+    def __init__(self, operator, tolerance, max_iterations, region: wp.array, first: wp.array, parts: int):
+        n, device = operator.n, operator.device
+        self.region, self.first = region, first
+        self.sweep, self.scaled = (wp.zeros(n, dtype=wp.float32, device=device) for _ in range(2))
+        self.part = wp.zeros(parts, dtype=wp.float32, device=device)
+        regions = first.shape[0] - 1
+        self.stiff, self.soft, self.weight = (wp.zeros(regions, dtype=wp.float32, device=device) for _ in range(3))
+        super().__init__(operator, n, wp.float32, tolerance, max_iterations)
+
+    def _body(self):
+        a = self.operator.arrays
+        self.x.zero_()
+        self._launch(k.invert_diagonal, a, [self.inverse])
+        self._launch(k.scale_sweep_e, [self.sweep, self.inverse], [self.scaled])
+        self._region_dot(self.scaled, self.sweep)
+        self._by_region(k.soften_gas_r, [self.part, self.stiff], [self.soft])
+        self._launch(k.start_residual, [self.x, self.b, *a, self.inverse], [self.r, self.z, self.p])
+        self._soften()
+        wp.copy(self.p, self.z)
+        self._dot(self.r, self.z, self.part_a)
+        self._launch(k.start_scalars, [self.part_a, self.part_a, self.control], [self.scalar, self.go], dim=1)
+        wp.capture_while(self.go, self._iterate)
+
+    def _iterate(self):
+        self._launch(k.apply_operator, [self.p, *self.operator.arrays], [self.q])
+        self._region_dot(self.sweep, self.p)
+        self._by_region(k.weigh_gas_r, [self.part, self.stiff], [self.weight])
+        self._launch(k.add_gas_e, [self.weight, self.sweep, self.region], [self.q])
+        self._dot(self.p, self.q, self.part_a)
+        self._launch(k.set_alpha, [self.part_a], [self.scalar], dim=1)
+        self._launch(k.advance_solution, [self.scalar, self.p, self.q, self.inverse], [self.x, self.r, self.z])
+        self._soften()
+        self._dot(self.r, self.z, self.part_a)
+        self._launch(k.set_beta, [self.part_a, self.control, 1.0], [self.scalar, self.go], dim=1)
+        self._launch(k.advance_direction, [self.scalar, self.z], [self.p])
+
+    def _soften(self):
+        """From D^-1 r to (D + k s s^T)^-1 r."""
+        self._region_dot(self.scaled, self.r)
+        self._by_region(k.weigh_gas_r, [self.part, self.soft], [self.weight])
+        self._launch(k.add_gas_e, [self.weight, self.scaled, self.region], [self.z])
+
+    def _region_dot(self, a, b):
+        self._launch(k.region_dot_chunks, [a, b, self.first], [self.part], dim=self.part.shape[0])
+
+    def _by_region(self, kernel, inputs, outputs):
+        self._launch(kernel, inputs, outputs, dim=self.stiff.shape[0])
+
+
 class RationalLaplacian(_Solver):
     """x = f(-Laplacian) b for f(lambda) = Re sum_k g_k/(lambda + p_k), by multi-shift conjugate gradients.
 

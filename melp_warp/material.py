@@ -79,6 +79,7 @@ class Surroundings:
         air: "none", or "added_mass" for the inertia of the air that the film moves (normal motion).
         air_density: kg/m^3.
         drag: traction of the air per tangential film speed, both sides together, Pa s/m.
+        damping: rate at which the air takes up the normal motion of a foam's films, 1/s.
         lift: fraction of the film's weight that a lighter gas inside carries; 1 hovers, 0 falls. Closed films only.
     """
 
@@ -87,6 +88,7 @@ class Surroundings:
     air: str = "none"
     air_density: float = 1.204
     drag: float = 0.0
+    damping: float = 0.0
     lift: float = 0.0
 
     def __post_init__(self):
@@ -95,4 +97,5 @@ class Surroundings:
         require(self.air in AIR_MODELS, "air", self.air, f"one of {', '.join(AIR_MODELS)}")
         require(_finite(self.air_density) and self.air_density > 0.0, "air_density", self.air_density, "above 0")
         require(_finite(self.drag) and self.drag >= 0.0, "drag", self.drag, "a number of at least 0")
+        require(_finite(self.damping) and self.damping >= 0.0, "damping", self.damping, "a number of at least 0")
         require(_finite(self.lift), "lift", self.lift, "a number")

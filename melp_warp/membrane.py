@@ -165,6 +165,7 @@ class Membrane:
         else:
             self.response = FilmResponse(film, lists, geometry)
             self.added = 0.0
+        self._added = wp.full(film.regions, self.added, dtype=wp.float32, device=film.device)
 
     def solve(self, dt: float) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
@@ -193,10 +194,10 @@ class Membrane:
         film, e = self.film, self.state.e
         film.launch_parts(
             ko.momentum_chunks,
-            [e.normal, e.mass, self.geometry.area, e.u, self.added, film.n_e],
+            [e.normal, e.mass, self.geometry.area, e.u, self._added, film.first],
             [self.inertia, self.net],
         )
-        film.launch_one(ko.solve_motion, [self.inertia, self.net], [motion])
+        film.launch_regions(ko.solve_motion_r, [self.inertia, self.net], [motion])
 
     def _load(self, ahead: float, dt: float) -> None:
         film, e, m = self.film, self.state.e, self.film.material
@@ -293,6 +294,11 @@ class Membrane:
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""
-        film, gas = self.film, self.state.gas
-        film.launch_one(kg.find_offset, [film.surroundings.pressure, OFFSET_LIMIT * film.spacing], [gas])
-        film.launch_e(kg.offset_surface_e, [self.state.e.normal, gas], [self.state.e.x])
+        close_volume(self.film, self.state)
+
+
+def close_volume(film: Film, state: State) -> None:
+    """Offset the E of each region along their normals so that its volume and its pressure obey the gas law."""
+    gas = state.gas
+    film.launch_regions(kg.find_offset_r, [film.surroundings.pressure, OFFSET_LIMIT * film.spacing], [gas])
+    film.launch_e(kg.offset_surface_e, [state.e.normal, state.e.region, gas], [state.e.x])

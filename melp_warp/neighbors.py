@@ -16,6 +16,18 @@ GRID_CELLS = 64
 ROOM = 1.4
 """Room of a row over the longest one when it was made."""
 
+FACING_ROOM = 256
+"""Least room for the E of other regions near an E: at the start there may be none."""
+
+
+def fixed_rows(n: int, stride: int, device) -> kn.Neighbors:
+    """Empty rows with room for `stride` entries each."""
+    rows = _rows(n, n * stride, device)
+    start = stride * np.arange(n, dtype=np.int32)
+    rows.start.assign(start)
+    rows.stop.assign(start)
+    return rows
+
 
 def _rows(n: int, entries: int, device) -> kn.Neighbors:
     rows = kn.Neighbors()
@@ -34,24 +46,39 @@ class NeighborList:
         rows: the list; `rows.index.shape[0]` is the size of arrays aligned with its pairs.
     """
 
-    def __init__(self, grid: wp.HashGrid, x: wp.array, n: int, source: wp.array, radius: float, same: bool):
-        self.n, self.device, self.radius, self.same = n, x.device, radius, int(same)
+    def __init__(
+        self,
+        grid: wp.HashGrid,
+        x: wp.array,
+        n: int,
+        source: wp.array,
+        radius: float,
+        pick: int,
+        regions: tuple[wp.array, wp.array] | None = None,
+        room: int = 8,
+    ):
+        self.n, self.device, self.radius, self.pick = n, x.device, radius, pick
+        self.regions = (None, None) if regions is None else regions
         self.wanted = wp.zeros(n, dtype=wp.int32, device=self.device)
         self.stride = 0
         self.rows = _rows(n, 0, self.device)
         self.build(grid, x, source)
-        self.stride = int(ROOM * self.wanted.numpy().max(initial=0)) + 8
-        self.rows = _rows(n, n * self.stride, self.device)
-        self.rows.start.assign(self.stride * np.arange(n, dtype=np.int32))
+        self.stride = int(ROOM * self.wanted.numpy().max(initial=0)) + room
+        self.rows = fixed_rows(n, self.stride, self.device)
         self.build(grid, x, source)
 
     def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
-        spread = launch if self.same else launch_rows
+        of_x, of_source = self.regions
+        other_set = self.pick == int(kn.ALL)
+        inputs = [grid.id, x, source, self.radius, of_x, of_source, self.pick, self.stride]
+        if other_set:
+            inputs[2], inputs[5] = Shared(source), of_source and Shared(of_source)
+        spread = launch_rows if other_set else launch
         spread(
             kn.fill_neighbors,
             self.n,
-            [grid.id, x, source if self.same else Shared(source), self.radius, self.same, self.stride],
+            inputs,
             [self.rows, self.wanted],
             self.device,
         )
@@ -90,7 +117,7 @@ class TransposedList:
 
 
 class NeighborLists:
-    """The lists of a film: E:E (boundary included), L:E, E:L, and mirror points:E.
+    """The lists of a film: E:E (boundary included), L:E, E:L, mirror points:E, and in foams E to E of other regions.
 
     Lists reach `skin` beyond the support and are rebuilt when particles have moved so far that a pair could be
     missing. Row entries of `ee` are what the geometry's pair arrays are aligned with.
@@ -109,13 +136,19 @@ class NeighborLists:
         x = state.e.x
         self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device)
         self._grid.build(x, self.reach)
-        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, same=True)
-        self.le = self.el = self.be = None
+        of_e = state.e.region
+        several = film.features.foam
+        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, int(kn.SAME), (of_e, of_e) if several else None)
+        self.le = self.el = self.be = self.eo = None
+        if several:
+            self.eo_reach = film.contact_reach + self.skin
+            self.eo = NeighborList(self._grid, x, film.n_e, x, self.eo_reach, int(kn.OTHER), (of_e, of_e), FACING_ROOM)
         if state.l is not None:
-            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, same=False)
+            regions = (state.l.region, of_e) if several else None
+            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, int(kn.ALL), regions)
             self.el = TransposedList(film.n_e, self.le)
         if film.features.rim:
-            self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, self.mirror_reach + self.skin, same=False)
+            self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, self.mirror_reach + self.skin, int(kn.ALL))
         self.travel = film.zeros(4)
         self._part = film.parts()
         self.builds = [1, 1]
@@ -124,6 +157,8 @@ class NeighborLists:
         x = self.state.e.x
         self._grid.build(x, self.reach)
         self.ee.build(self._grid, x, x)
+        if self.eo is not None:
+            self.eo.build(self._grid, x, x)
         if self.be is not None:
             self.be.build(self._grid, self.film.rim.mirror, x)
         self.film.launch_one(kn.reset_travel, [0], [self.travel])
@@ -161,18 +196,20 @@ class NeighborLists:
     def record_e(self, x_old: wp.array, frame: wp.array, dt: float) -> None:
         """Add how far E moved in this step, relative to the film as a whole."""
         film = self.film
-        film.launch_parts(kd.moved_chunks, [self.state.e.x, x_old, frame, dt, film.n_e], [self._part])
+        e = self.state.e
+        film.launch_parts(kd.moved_chunks, [e.x, x_old, e.region, frame, dt, film.n_e], [self._part])
         film.launch_one(kn.add_travel, [self._part, 2], [self.travel])
 
     def record_l(self, frame: wp.array, dt: float) -> None:
         """Add how far L moved in this step, relative to the film as a whole."""
         film = self.film
-        film.launch_parts(kd.travel_chunks, [self.state.l.v, frame, dt, film.n_l], [self._part])
+        lag = self.state.l
+        film.launch_parts(kd.travel_chunks, [lag.v, lag.region, frame, dt, film.n_l], [self._part])
         film.launch_one(kn.add_travel, [self._part, 3], [self.travel])
 
     def check(self) -> None:
         """Raise if any list overflowed (reads back: between frames)."""
-        for name in ("ee", "le", "be"):
+        for name in ("ee", "eo", "le", "be"):
             one = getattr(self, name)
             if one is not None:
                 one.check(name.upper())

@@ -120,6 +120,19 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "displacement": _at_least_zero("m", "scale of the noise that displaces the initial shape", 10.0),
         "displacement_frequency": _positive("1/m", "noise cells per metre of the displacement", 1e4),
         "displacement_octaves": _count("octaves of the displacement's noise", 1, 8),
+        # foams
+        "radius_1": Key("m", "radius of the first bubble", 1e-4, 10.0),
+        "radius_2": Key("m", "radius of the second bubble", 1e-4, 10.0),
+        "radius_low": Key("m", "radius of the smallest bubble", 1e-4, 10.0),
+        "radius_high": Key("m", "radius of the largest bubble", 1e-4, 10.0),
+        "thickness_1": Key("m", "thickness of the first bubble's film", 1e-9, 1e-4),
+        "thickness_2": Key("m", "thickness of the second bubble's film", 1e-9, 1e-4),
+        "bubbles": _count("number of bubbles", 1, 10_000),
+        "gap": _at_least_zero("spacings", "distance between neighbouring bubbles at the start, in E spacings", 100.0),
+        "approach_speed": Key("m/s", "speed of each bubble towards the middle at the start", -100.0, 100.0),
+        "tension_spread": _at_least_zero("-", "difference of surface tension between bubbles, relative", 0.5),
+        "pop_time": Key("s", "time at which a bubble pops (auto: never)", 0.0, 1e6, auto=True),
+        "merge_time": Key("s", "time at which a partition breaks (auto: never)", 0.0, 1e6, auto=True),
         # initial film and flow
         "noise": Key("-", "unevenness of the initial thickness, relative to thickness", 0.0, 0.95),
         "noise_frequency": _positive("1/m", "noise cells per metre of the initial thickness", 1e4),
@@ -141,6 +154,8 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "air": Key("-", "inertia of the air that the film moves", choices=AIR_MODELS),
         "air_density": _positive("kg/m^3", "density of the air", 1e3),
         "drag": _at_least_zero("Pa s/m", "traction of the air per speed along the film, both sides", 1e3),
+        "damping": _at_least_zero("1/s", "rate at which the air takes up the normal motion of a foam", 1e5),
+        "exchange": _at_least_zero("1/s", "rate at which liquid crosses between films that touch", 1e5),
         "lift": Key("-", "share of the film's weight that a lighter gas inside carries (1 hovers)", -10.0, 10.0),
         # particles
         "e_count": _count("Eulerian particles", 1, 10_000_000),
@@ -162,6 +177,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "skin": Key("spacings", "skin of the neighbour lists, in E spacings", 0.05, 4.0),
         "redistribution": Key("-", "strength of the E redistribution (0: none)", 0.0, 1.0),
         "spread": Key("-", "relative spread of E density that is left alone", 0.0, 10.0),
+        "border": Key("spacings", "radius of the borders in which films of a foam meet", 1.0, 8.0),
         "xsph": Key("-", "smoothing of the E velocity along the film", 0.0, 1.0),
         "thickness_time": Key("s", "time in which L thickness relaxes to E thickness", 1e-6, 1e6),
     }
@@ -169,9 +185,23 @@ KEYS: Mapping[str, Key] = MappingProxyType(
 """Every key that a scene may have."""
 
 _MATERIAL = tuple(f.name for f in fields(Material))
-_NUMERICS = tuple(f.name for f in fields(Numerics))
+_FOAM_NUMERICS = ("border", "exchange")
+_NUMERICS = tuple(f.name for f in fields(Numerics) if f.name not in _FOAM_NUMERICS)
 _SURROUNDINGS = ("pressure", "air", "air_density", "drag")
 _RUN = ("e_count", "l_per_e", "seed", "frames", "fps", "dt")
+
+FOAM: Mapping[str, Value] = MappingProxyType(
+    {
+        "damping": 5.0,
+        "exchange": 0.0,
+        "border": 2.0,
+        "support": 3.0,
+        "air": "added_mass",
+        "cfl": 0.5,
+        "redistribution": 0.3,
+    }
+)
+"""Values with which foams run well: what `declare` is given in every scene of several bubbles."""
 
 
 def _common_defaults() -> dict[str, Value]:
@@ -210,13 +240,14 @@ class Values:
     @property
     def surroundings(self) -> Surroundings:
         """Gravity along -y, the air, the pressure."""
-        given = {name: self._values[name] for name in (*_SURROUNDINGS, "lift") if name in self._values}
+        given = {name: self._values[name] for name in (*_SURROUNDINGS, "lift", "damping") if name in self._values}
         return Surroundings(gravity=(0.0, -self.gravity, 0.0), **given)
 
     @property
     def numerics(self) -> Numerics:
         """The discretisation."""
-        return Numerics(**{name: self._values[name] for name in _NUMERICS})
+        names = (*_NUMERICS, *_FOAM_NUMERICS)
+        return Numerics(**{name: self._values[name] for name in names if name in self._values})
 
     def scene(self, name: str, shape: Shape, **initial) -> Scene:
         """Put a scene together.

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from melp_warp.cluster import Cluster
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
 from melp_warp.film import Film, RimArrays
 from melp_warp.kernels import transfer as kt
 from melp_warp.scene import Scene
+from melp_warp.shapes import Samples
 from melp_warp.state import GAS_SLOTS, EulerianState, LagrangianState, State, allocate
 from melp_warp.stepper import Stepper
 
@@ -74,7 +76,16 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int
     state = allocate(EulerianState, short, n_e + n_b, device, count=n_e)
     state.x.assign(points.astype(np.float32))
     state.normal.assign(normals.astype(np.float32))
+    state.region.assign(_regions(samples, len(points)))
     return state, arrays, n_b, spacing
+
+
+def _regions(samples: Samples, count: int) -> np.ndarray:
+    """[count] region of each particle; boundary particles follow those sampled and are of region 0."""
+    region = np.zeros(count, dtype=np.int32)
+    if samples.region is not None:
+        region[: len(samples.region)] = samples.region
+    return region
 
 
 def spatial_order(points: np.ndarray, cell: float) -> np.ndarray:
@@ -96,6 +107,7 @@ def _l_state(scene: Scene, n_e: int, spacing: float, device) -> LagrangianState 
     state = allocate(LagrangianState, {}, count, device, count=count)
     state.x.assign(samples.points[order].astype(np.float32))
     state.normal.assign(samples.normals[order].astype(np.float32))
+    state.region.assign(_regions(samples, count)[order])
     # While areas are found, eta holds 1/area and mass holds rho: an L then claims rho/(rho eta), its area.
     state.eta.assign((1.0 / samples.area[order]).astype(np.float32))
     state.mass.fill_(scene.material.density)
@@ -117,8 +129,31 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     )
     e, rim, n_b, spacing = _e_state(scene, device)
     lagrangian = _l_state(scene, e.count, spacing, device)
-    gas = wp.zeros(len(GAS_SLOTS), dtype=wp.float64, device=device)
-    state = State(e, lagrangian, gas, wp.zeros(1, dtype=wp.vec3, device=device))
+    labels = scene.shape.initial if features.foam else (0,)
+    film, state = _film(scene, features, e, lagrangian, labels, spacing, rim, n_b, device)
+    if features.closed:
+        film.radius = float(np.sqrt(scene.shape.area / (4.0 * np.pi)))
+    stepper = Stepper(film, state)
+    if features.moving:
+        _relax(scene, stepper)
+        if features.closed:
+            film.radius = float(np.cbrt(3.0 * state.gas.numpy()[0, 0] / (4.0 * np.pi)))
+        stepper = Stepper(film, state)
+    _set_masses(scene, stepper)
+    if features.closed:
+        _fill_gas(film, stepper)
+    _set_velocity(scene, stepper)
+    return film, stepper
+
+
+def _film(scene, features, e, lagrangian, labels, spacing, rim, n_b, device) -> tuple[Film, State]:
+    """Film and state around particles; `labels` are the scene's numbers of the regions."""
+    regions = len(labels)
+    gas = wp.zeros((regions, len(GAS_SLOTS)), dtype=wp.float64, device=device)
+    state = State(e, lagrangian, gas, wp.zeros(regions, dtype=wp.vec3, device=device))
+    counts = np.bincount(e.region.numpy()[: e.count], minlength=regions)
+    factor = [scene.shape.bubbles[k].tension for k in labels] if features.foam else [1.0]
+    tension = scene.material.tension * np.array(factor, dtype=np.float32)
     film = Film(
         device=device,
         features=features,
@@ -129,20 +164,33 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
         n_e=e.count,
         n_b=n_b,
         n_l=lagrangian.count if lagrangian else 0,
+        first=wp.array(np.concatenate([[0], np.cumsum(counts)]), dtype=wp.int32, device=device),
+        tension=wp.array(tension, dtype=wp.float32, device=device),
+        labels=tuple(labels),
+        walls=scene.shape.walls if features.foam else (),
         rim=rim,
     )
-    if features.closed:
-        film.radius = float(np.sqrt(scene.shape.area / (4.0 * np.pi)))
+    return film, state
+
+
+def resume(scene: Scene, stored: dict[str, np.ndarray], labels: tuple[int, ...], spacing: float, device):
+    """Film and stepper of a foam from arrays as `State.numpy` gives them, whatever their lengths.
+
+    Args:
+        scene: the scene.
+        stored: arrays by name, E region by region.
+        labels: the scene's numbers of the regions, one each.
+        spacing: E spacing of the run, m.
+        device: where to run.
+    """
+    counts = {kind: len(stored[f"{kind}.x"]) if f"{kind}.x" in stored else 0 for kind in "el"}
+    e = allocate(EulerianState, {}, counts["e"], device, count=counts["e"])
+    lagrangian = allocate(LagrangianState, {}, counts["l"], device, count=counts["l"]) if scene.l_per_e else None
+    e.region.assign(stored["e.region"])
+    film, state = _film(scene, Features.of(scene), e, lagrangian, labels, spacing, None, 0, device)
+    state.load(stored)
     stepper = Stepper(film, state)
-    if features.moving:
-        _relax(scene, stepper)
-        if features.closed:
-            film.radius = float(np.cbrt(3.0 * gas.numpy()[0] / (4.0 * np.pi)))
-        stepper = Stepper(film, state)
-    _set_masses(scene, stepper)
-    _set_velocity(scene, stepper)
-    if features.closed:
-        _fill_gas(film, stepper)
+    stepper.membrane.start_motion()
     return film, stepper
 
 
@@ -165,25 +213,37 @@ def _set_masses(scene: Scene, stepper: Stepper) -> None:
     """Give every particle its area's share of liquid and surfactant."""
     film, state, m = stepper.film, stepper.state, scene.material
 
-    def masses(points, area):
-        eta = _positive(_field(scene.thickness, points, m.thickness, "thickness"), points, "thickness")
+    def masses(points, area, region):
+        eta = _field(scene.thickness, points, m.thickness, "thickness")
+        for k, bubble in _bubbles(scene):
+            if bubble.thickness is not None:
+                eta[region == k] = bubble.thickness
+        eta = _positive(eta, points, "thickness")
         gamma = _field(scene.concentration, points, m.surfactant, "surfactant")
         _positive(gamma, points, "surfactant", at_least_zero=True)
         return eta, m.density * eta * area, gamma * area
 
     if state.l is None:
         points = state.e.x.numpy()[: film.n_e].astype(np.float64)
-        _, mass, amount = masses(points, stepper.geometry.area.numpy())
+        _, mass, amount = masses(points, stepper.geometry.area.numpy(), state.e.region.numpy()[: film.n_e])
         state.e.mass.assign(mass.astype(np.float32))
         state.e.surfactant.assign(amount.astype(np.float32))
         return
     _share_area(stepper)
     lag = state.l
-    eta, mass, amount = masses(lag.x.numpy().astype(np.float64), 1.0 / lag.eta.numpy().astype(np.float64))
+    points, area = lag.x.numpy().astype(np.float64), 1.0 / lag.eta.numpy().astype(np.float64)
+    eta, mass, amount = masses(points, area, lag.region.numpy())
     lag.eta.assign(eta.astype(np.float32))
     lag.mass.assign(mass.astype(np.float32))
     lag.surfactant.assign(amount.astype(np.float32))
     stepper.transfer.gather()
+
+
+def _bubbles(scene: Scene):
+    """Region index and bubble of those that are there at the start of a foam."""
+    if not isinstance(scene.shape, Cluster):
+        return []
+    return [(k, scene.shape.bubbles[label]) for k, label in enumerate(scene.shape.initial)]
 
 
 def _share_area(stepper: Stepper) -> None:
@@ -208,11 +268,13 @@ def _share_area(stepper: Stepper) -> None:
 
 def _set_velocity(scene: Scene, stepper: Stepper) -> None:
     film, state = stepper.film, stepper.state
+    u = np.zeros((film.total, 3), dtype=np.float32)
     if scene.velocity is not None:
         points = state.e.x.numpy()[: film.n_e].astype(np.float64)
-        u = np.zeros((film.total, 3), dtype=np.float32)
         u[: film.n_e] = _field(scene.velocity, points, 0.0, "velocity", 3)
-        state.e.u.assign(u)
+    for k, bubble in _bubbles(scene):
+        u[state.e.region.numpy() == k] += np.array(bubble.velocity, dtype=np.float32)
+    state.e.u.assign(u)
     if stepper.membrane is not None:
         stepper.membrane.start_motion()
     if state.l is not None:
@@ -220,16 +282,18 @@ def _set_velocity(scene: Scene, stepper: Stepper) -> None:
 
 
 def _fill_gas(film: Film, stepper: Stepper) -> None:
-    """Gas at the pressure that balances the mean tension of the initial shape."""
+    """Gas at the pressure that balances the mean tension of each region's initial shape."""
     stepper.fields.update()
-    state, geometry, m = stepper.state, stepper.geometry, film.material
+    state, geometry = stepper.state, stepper.geometry
     kappa = geometry.curvature(state.e.x).numpy().astype(np.float64)
     area = geometry.area.numpy().astype(np.float64)
-    sigma = m.tension - film.slope * stepper.fields.gamma.numpy().astype(np.float64)
-    gauge = float(-np.sum(area * 2.0 * sigma * kappa) / area.sum())
+    region = state.e.region.numpy()[: film.n_e]
+    sigma = film.tension.numpy()[region] - film.slope * stepper.fields.gamma.numpy().astype(np.float64)
     gas = state.gas.numpy().copy()
-    require(gas[0] > 0.0, "shape", gas[0], "one that encloses a positive volume, m^3")
-    pressure = film.surroundings.pressure + gauge
-    require(pressure > 0.0, "pressure", film.surroundings.pressure, f"above {-gauge:.3g} Pa for this shape")
-    gas[1], gas[2] = gauge, pressure * gas[0]
+    gauge = -np.bincount(region, area * 2.0 * sigma * kappa) / np.bincount(region, area)
+    for k, gauge_k in enumerate(gauge.tolist()):
+        require(gas[k, 0] > 0.0, "shape", gas[k, 0], "one that encloses a positive volume, m^3")
+        pressure = film.surroundings.pressure + gauge_k
+        require(pressure > 0.0, "pressure", film.surroundings.pressure, f"above {-gauge_k:.3g} Pa for this shape")
+        gas[k, 1], gas[k, 2] = gauge_k, pressure * gas[k, 0]
     state.gas.assign(gas)

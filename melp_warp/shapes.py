@@ -25,11 +25,13 @@ class Samples:
         points: [n, 3] m.
         normals: [n, 3] outward unit normals.
         area: [n] area that each point stands for, m^2.
+        region: [n] region of each point, ascending; None for a single one.
     """
 
     points: np.ndarray
     normals: np.ndarray
     area: np.ndarray
+    region: np.ndarray | None = None
 
 
 @dataclass

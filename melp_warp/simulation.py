@@ -159,7 +159,7 @@ class Simulation:
         film, state, stepper = self.film, self.state, self.stepper
         stepper.fields.update()
         sums = self._sums()
-        gas = state.gas.numpy()
+        gas = state.gas.numpy()[0]
         result = {
             "frame": state.frame,
             "time": state.time,
@@ -181,7 +181,7 @@ class Simulation:
             "thickness_mean": sums[9] / sums[10] * 1e9,
             "thickness_max": sums[8] * 1e9,
             "thickness_std": math.sqrt(max(sums[11] / sums[10] - (sums[9] / sums[10]) ** 2, 0.0)) * 1e9,
-            "e_spread": float(stepper.redistribution.spread.numpy()[0]) if stepper.redistribution else 0.0,
+            "e_spread": float(stepper.redistribution.spread.numpy()[:, 0].max()) if stepper.redistribution else 0.0,
             "lost": int(stepper.transfer.lost.numpy().sum()) if self.has_l else 0,
             "wall_ms": {name: 1e3 * seconds for name, seconds in stepper.wall.items() if seconds > 0.0},
         }

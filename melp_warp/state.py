@@ -25,6 +25,7 @@ class EulerianState:
         drift: [count] tangential velocity of the particles themselves, m/s.
         mass: [count] kg.
         surfactant: [count] amount on one interface, mol.
+        region: [n] index of the region; E are stored region by region.
         count: number of E.
     """
 
@@ -34,6 +35,7 @@ class EulerianState:
     drift: wp.array = _array(wp.vec3)
     mass: wp.array = _array(wp.float32)
     surfactant: wp.array = _array(wp.float32)
+    region: wp.array = _array(wp.int32)
     count: int = 0
 
 
@@ -50,6 +52,7 @@ class LagrangianState:
         mass: [n_l] kg.
         surfactant: [n_l] amount on one interface, mol.
         eta: [n_l] thickness, m.
+        region: [n_l] index of the region.
         count: number of L.
     """
 
@@ -61,6 +64,7 @@ class LagrangianState:
     mass: wp.array = _array(wp.float32)
     surfactant: wp.array = _array(wp.float32)
     eta: wp.array = _array(wp.float32)
+    region: wp.array = _array(wp.int32)
     count: int = 0
 
 
@@ -85,9 +89,9 @@ class State:
     Attributes:
         e: Eulerian particles.
         l: Lagrangian particles, or None.
-        gas: [6] float64, see `GAS_SLOTS`: volume (m^3), gauge pressure (Pa), amount n0 R T (J), pressure increment of
-            the last step (Pa), area (m^2), normal offset that closed the volume in the last step (m).
-        motion: [1] velocity of a closed film as a whole, m/s: it changes by outside forces alone.
+        gas: [regions, 6] float64, see `GAS_SLOTS`: volume (m^3), gauge pressure (Pa), amount n0 R T (J), pressure
+            increment of the last step (Pa), area (m^2), normal offset that closed the volume in the last step (m).
+        motion: [regions] velocity of a closed film as a whole, m/s: it changes by outside forces alone.
         time: s.
         frame: index of the last finished frame.
     """

@@ -6,11 +6,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import warp as wp
 
 from melp_warp.advance import EulerianAdvance, LagrangianAdvance, Redistribution
 from melp_warp.errors import SimulationError
 from melp_warp.film import Film
+from melp_warp.foam import FoamMembrane
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
@@ -42,9 +44,7 @@ class Stepper:
         self.forces = Forces(film, state)
         self.rim = Rim(film, state, self.lists, self.geometry) if f.rim else None
         self.transfer = Transfer(film, state, self.lists, self.geometry) if f.lagrangian else None
-        self.membrane = (
-            Membrane(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim) if f.moving else None
-        )
+        self.membrane = self._make_membrane() if f.moving else None
         self.tangential = (
             Tangential(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim)
             if f.lagrangian
@@ -60,6 +60,10 @@ class Stepper:
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.steps = 0
         self.geometry.update()
+
+    def _make_membrane(self) -> Membrane | FoamMembrane:
+        common = [self.film, self.state, self.lists, self.geometry, self.fields, self.forces]
+        return FoamMembrane(*common) if self.film.features.foam else Membrane(*common, self.rim)
 
     def step(self, dt: float) -> None:
         """Advance the film by dt (s)."""
@@ -86,7 +90,8 @@ class Stepper:
                 v = self.l_advance.find_velocity(e.x, self.start, dt)
         if f.moving:
             with self._stage("advance_e"):
-                self.membrane.find_frame()
+                if not f.foam:
+                    self.membrane.find_frame()
                 self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19)
                 if self.redistribution is not None:
                     self.redistribution.apply(dt)  # (20)
@@ -133,7 +138,8 @@ class Stepper:
             kind = "L" if name in ("e_to_l", "advance_l") else "E"
             raise SimulationError(f"stage {name}: {kind} particle {particle} is not finite")
         if self.film.features.closed:
-            volume = float(self.state.gas.numpy()[0])
-            if not volume > 0.0:
-                raise SimulationError(f"stage membrane: the enclosed volume is {volume:.3g} m^3, region 0")
+            volume = self.state.gas.numpy()[:, 0]
+            k = int(np.argmin(volume))
+            if not np.all(volume > 0.0):
+                raise SimulationError(f"stage membrane: the enclosed volume is {volume[k]:.3g} m^3, region {k}")
         self.lists.check()

@@ -160,7 +160,7 @@ def resting_bubble(
     steps(simulation, count, dt)
     r = np.linalg.norm(e_points(simulation), axis=1)
     exact = 4.0 * material.film_tension / r.mean()
-    measured = float(simulation.state.gas.numpy()[1])
+    measured = float(simulation.state.gas.numpy()[0, 1])
     return {
         "exact": exact,
         "measured": measured,
@@ -391,7 +391,7 @@ def free_fall(
         "speed_error": abs(velocity / (GRAVITY * time) + (1.0 if lift == 0.0 else 0.0)),
         "radius_spread": float(np.ptp(r_e) / r_e.mean()),
         "l_radius_spread": float(np.ptp(r_l) / r_l.mean()),
-        "e_spread": float(simulation.stepper.redistribution.spread.numpy()[0]),
+        "e_spread": float(simulation.stepper.redistribution.spread.numpy()[0, 0]),
         **{"dt": dt, "duration": time, "e_count": e_count, "l_per_e": l_per_e, "scheme": scheme, "lift": lift},
         **numerics,
     }
@@ -463,7 +463,7 @@ def translation(
     start = e_points(simulation).mean(axis=0)
 
     def observe():
-        spread = simulation.stepper.redistribution.spread.numpy()[0]
+        spread = simulation.stepper.redistribution.spread.numpy()[0, 0]
         return [*simulation.diagnostics()["momentum"], spread]
 
     seen = steps(simulation, count, dt, observe)

@@ -10,8 +10,8 @@ import melp_warp
 from melp_warp import kernels
 
 FILES = [Path(kernels.__path__[0]) / f"{info.name}.py" for info in pkgutil.iter_modules(kernels.__path__)]
-STAGES = ("advance", "boundary", "forces", "geometry", "membrane", "redistribute", "surfactant", "transfer")
-SUFFIXES = ("_e", "_l", "_b", "_chunks")
+STAGES = ("advance", "boundary", "foam", "forces", "geometry", "membrane", "redistribute", "surfactant", "transfer")
+SUFFIXES = ("_e", "_l", "_b", "_r", "_chunks")
 
 
 def parse(path):
@@ -69,7 +69,7 @@ def test_no_lower_case_numbers(path):
 
 @pytest.mark.parametrize("path", [p for p in FILES if p.stem in STAGES], ids=lambda p: p.stem)
 def test_named_after_what_is_written(path):
-    """Kernels of the step with a thread a particle end in the set written, _e, _l or _b; sums in parts in _chunks.
+    """Kernels of the step with a thread a particle end in the set written, _e, _l or _b; one a region _r; sums _chunks.
 
     Kernels of a single thread write scalars and are free.
     """

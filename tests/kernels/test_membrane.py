@@ -20,10 +20,10 @@ def f64(array):
 
 def close_gas(volume, gauge, amount, swept, device):
     """Gas slots after `close_gas` for a swept volume swept[0] + swept[1] q + swept[2] q^2."""
-    gas = wp.array([volume, gauge, amount, 0.0, 0.0, 0.0], dtype=wp.float64, device=device)
+    gas = wp.array([[volume, gauge, amount, 0.0, 0.0, 0.0]], dtype=wp.float64, device=device)
     parts = wp.array(np.array([0.25 * swept, 0.75 * swept]), dtype=wp.vec3d, device=device)
     launch(kg.close_gas, 1, [parts, P_ATM], [gas], device)
-    return gas.numpy()
+    return gas.numpy()[0]
 
 
 def test_gas_law_at_the_end_of_the_step(device):
@@ -227,11 +227,11 @@ def test_offset_restores_the_gas_law(device):
     _, s = make_stepper(Jittered(Sphere(RADIUS)), 2000, device)
     s.state.e.x.assign((s.state.e.x.numpy() * 1.001).astype(np.float32))
     s.geometry.update()
-    gas = s.state.gas.numpy()
+    gas = s.state.gas.numpy()[0]
     assert (P_ATM + gas[1]) * gas[0] / gas[2] - 1.0 == pytest.approx(3e-3, rel=0.01)
     s.membrane.close_volume()
-    gas = s.state.gas.numpy()
+    gas = s.state.gas.numpy()[0]
     assert (P_ATM + gas[1]) * gas[0] == pytest.approx(gas[2], rel=1e-12)
     s.geometry.update()
-    gas = s.state.gas.numpy()
+    gas = s.state.gas.numpy()[0]
     assert (P_ATM + gas[1]) * gas[0] == pytest.approx(gas[2], rel=4e-6)

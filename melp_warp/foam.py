@@ -1,0 +1,168 @@
+"""Foams on the host: what regions touch (section 5.2), contact (5.3), shared tension (5.4) and gas, implicit.
+
+Each region's surface is one gas-liquid interface with tension sigma, the atmosphere's is another. A film is two of
+them pressed together; where three films meet they part and leave a border of liquid, a Plateau border, whose pressure
+is lower. Its radius of curvature, a few spacings, is what the lines are resolved with. See docs/foams.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from melp_warp.air import film_added_mass
+from melp_warp.film import Film
+from melp_warp.forces import Forces
+from melp_warp.geometry import Geometry
+from melp_warp.kernels import foam as kf
+from melp_warp.kernels import motion as ko
+from melp_warp.kernels.cells import CORNERS
+from melp_warp.linear import GasConjugateGradient, LinearOperator
+from melp_warp.membrane import close_volume
+from melp_warp.neighbors import NeighborLists, fixed_rows
+from melp_warp.state import State
+from melp_warp.surfactant import Fields
+
+CONTACT_ROOM = 96
+"""Room for the E that one E presses on, besides its star."""
+
+BALL = 0.85
+"""Radius of the ball that decides what is exposed, in radii of the border: below 1 because the normals next to a border
+are smoothed and lean towards it. Found with the static test (docs/foams.md)."""
+
+SMOOTHINGS = 2
+"""Passes that smooth the exposure."""
+
+
+def make_contact(film: Film, walls) -> kf.Contact:
+    """The constants of `kernels.foam.Contact` for a film's spacing and tension."""
+    n, dx = film.numerics, film.spacing
+    contact = kf.Contact()
+    for name, values in (("point", [w.point for w in walls]), ("inward", [w.normal for w in walls])):
+        array = np.array(values, dtype=np.float32).reshape(-1, 3)
+        setattr(contact, name, wp.array(array, dtype=wp.vec3, device=film.device))
+    contact.reach, contact.give = 2.5 * dx, 0.25 * dx
+    contact.ball, contact.ramp = BALL * n.border * dx, 0.6 * dx
+    contact.suction = film.material.film_tension / (n.border * dx)
+    return contact
+
+
+class FoamMembrane:
+    """Normal dynamics of touching regions, backward Euler. Takes the place of `Membrane`.
+
+    Attributes:
+        exposure: [n_e] 1 where the atmosphere's interface lies on the film, 0 in borders and partitions.
+        u_mid: [n_e] normal speed that moves E in this step, m/s.
+        start: [regions] velocity of each region as a whole in the step, m/s.
+        frame: the same array.
+        added: [regions] mass of the air that moves along, kg/m^2.
+    """
+
+    explicit = False
+
+    def __init__(
+        self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields, forces: Forces
+    ):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        self.fields, self.forces = fields, forces
+        n = film.n_e
+        self.contact = make_contact(film, film.walls)
+        self.exposure, self._rough = film.zeros(n), film.zeros(n)
+        self.predicted = film.zeros(n, wp.vec3)
+        self.force, self.u_mid = film.zeros(n), film.zeros(n)
+        self.start = self.frame = film.zeros(film.regions, wp.vec3)
+        self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
+        self.added = film.zeros(film.regions)
+        self._stride = CORNERS + CONTACT_ROOM
+        rows = fixed_rows(n, self._stride, film.device)
+        numerics = film.numerics
+        self.response = GasConjugateGradient(
+            LinearOperator(n, rows, film.device),
+            numerics.tolerance,
+            numerics.max_iterations,
+            state.e.region,
+            film.first,
+            film.parts().shape[0],
+        )
+        self.wanted = film.zeros(n, wp.int32)
+        self._inertia, self._momentum = film.parts(wp.mat33), film.parts(wp.vec3)
+        self._swept = film.parts(wp.float64)
+
+    def start_motion(self) -> None:
+        """Take the air's mass from the volumes and the translations from the velocities, at the start of a run."""
+        film = self.film
+        if film.features.air:
+            volume = np.maximum(self.state.gas.numpy()[:, 0], 0.0)
+            radius = np.cbrt(3.0 * volume / (4.0 * np.pi))
+            self.added.assign(film_added_mass(film.surroundings.air_density, radius).astype(np.float32))
+        self._find_motion()
+
+    def find_contacts(self) -> None:
+        """What is exposed to the atmosphere, at the present positions."""
+        film, e = self.film, self.state.e
+        film.launch_e(kf.find_exposure_e, [e.x, e.normal, self.lists.eo.rows, self.contact], [self.exposure])
+        for _ in range(SMOOTHINGS):
+            film.launch_e(kf.smooth_exposure_e, [self.exposure, self.geometry.star], [self._rough])
+            wp.copy(self.exposure, self._rough)
+
+    def solve(self, dt: float) -> None:
+        """Advance the normal velocity of E by dt and set `u_mid`."""
+        film, e = self.film, self.state.e
+        self._find_motion()
+        self.find_contacts()
+        film.launch_e(kf.predict_foam_e, [e.x, e.u, e.normal, e.region, self.frame, dt], [self.predicted])
+        self._sweep()
+        pressure = film.surroundings.pressure
+        solver = self.response
+        film.launch_regions(kf.predict_gas_r, [self._swept, pressure, dt], [self.state.gas, solver.stiff, self.ahead])
+        self._assemble(dt)
+        solver.solve()
+        film.launch_e(kf.apply_foam_e, [e.normal, solver.x], [e.u, self.u_mid])
+        self._sweep()
+        film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
+
+    def close_volume(self) -> None:
+        """After the move: offset E so that volume and pressure obey the gas law."""
+        close_volume(self.film, self.state)
+
+    def _find_motion(self) -> None:
+        film, e = self.film, self.state.e
+        film.launch_parts(
+            ko.momentum_chunks,
+            [e.normal, e.mass, self.geometry.area, e.u, self.added, film.first],
+            [self._inertia, self._momentum],
+        )
+        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self.state.motion])
+        wp.copy(self.frame, self.state.motion)
+
+    def _sweep(self) -> None:
+        film, e = self.film, self.state.e
+        film.launch_parts(kf.swept_volume_chunks, [e.u, e.normal, self.geometry.vector, film.first], [self._swept])
+
+    def _assemble(self, dt: float) -> None:
+        film, e, geometry, operator = self.film, self.state.e, self.geometry, self.response.operator
+        film.launch_regions(kf.set_push_r, [self.state.gas, self.contact.suction], [self.push])
+        film.launch_e(
+            kf.pull_foam_e,
+            [
+                *(self.predicted, e.normal, self.fields.gamma, self.exposure, e.region, film.tension, film.slope),
+                *(geometry.star, geometry.tie, dt),
+            ],
+            [self.force, operator.rows, operator.pair],
+        )
+        film.launch_e(
+            kf.press_foam_e,
+            [
+                *(self.predicted, e.normal, geometry.area, e.region, self.push),
+                *(self.lists.eo.rows, self.contact, self._stride, dt),
+            ],
+            [self.force, operator.diag, operator.rows, operator.pair, self.wanted],
+        )
+        film.launch_e(
+            kf.load_foam_e,
+            [
+                *(e.normal, geometry.vector, geometry.area, e.mass, self.exposure, self.forces.body, e.region),
+                *(self.ahead, self.added, self.contact.suction, film.surroundings.damping, e.u, self.force, dt),
+            ],
+            [self.response.b, operator.diag, self.response.sweep],
+        )
