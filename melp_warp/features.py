@@ -21,6 +21,7 @@ class Features:
         viscous: in-plane viscosity.
         recoils: the film is closed and its uneven tension pushes liquid along it, so it moves the other way.
         air: the air's added mass takes part in the normal motion.
+        exchanges: L cross between films that touch.
         foam: there are several regions, or walls, to touch.
     """
 
@@ -32,6 +33,7 @@ class Features:
     viscous: bool
     recoils: bool
     air: bool
+    exchanges: bool
     foam: bool
 
     @classmethod
@@ -48,6 +50,7 @@ class Features:
             marangoni=marangoni,
             recoils=marangoni and scene.shape.closed and not isinstance(scene.shape, Cluster),
             viscous=lagrangian and scene.material.viscosity > 0.0,
+            exchanges=lagrangian and isinstance(scene.shape, Cluster) and scene.numerics.exchange > 0.0,
             foam=isinstance(scene.shape, Cluster),
             air=moving and scene.surroundings.air == "added_mass",
         )

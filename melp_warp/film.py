@@ -38,6 +38,7 @@ class Film:
         first: [regions + 1] region g holds E first[g] to first[g + 1].
         tension: [regions] sigma_0, N/m.
         labels: the scene's number of each region.
+        seed: of everything random.
         walls: planes that a foam touches.
         radius: radius of the sphere of the film's volume, for the air's added mass; infinite for an open film, m.
     """
@@ -54,6 +55,7 @@ class Film:
     first: wp.array
     tension: wp.array
     labels: tuple[int, ...] = (0,)
+    seed: int = 0
     walls: tuple[Wall, ...] = ()
     rim: RimArrays | None = None
     radius: float = float("inf")

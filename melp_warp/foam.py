@@ -7,6 +7,8 @@ is lower. Its radius of curvature, a few spacings, is what the lines are resolve
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import warp as wp
 
@@ -17,6 +19,7 @@ from melp_warp.geometry import Geometry
 from melp_warp.kernels import foam as kf
 from melp_warp.kernels import motion as ko
 from melp_warp.kernels.cells import CORNERS
+from melp_warp.launch import Shared
 from melp_warp.linear import GasConjugateGradient, LinearOperator
 from melp_warp.membrane import close_volume
 from melp_warp.neighbors import NeighborLists, fixed_rows
@@ -29,6 +32,12 @@ CONTACT_ROOM = 96
 BALL = 0.85
 """Radius of the ball that decides what is exposed, in radii of the border: below 1 because the normals next to a border
 are smoothed and lean towards it. Found with the static test (docs/foams.md)."""
+
+PARTNER_REACH = 1.2
+"""Distance within which an E facing another shares its film, in spacings."""
+
+EXCHANGE_INTERVAL = 1.0 / 240.0
+"""Least time between two exchanges of L, s."""
 
 SMOOTHINGS = 2
 """Passes that smooth the exposure."""
@@ -45,6 +54,54 @@ def make_contact(film: Film, walls) -> kf.Contact:
     contact.ball, contact.ramp = BALL * n.border * dx, 0.6 * dx
     contact.suction = film.material.film_tension / (n.border * dx)
     return contact
+
+
+def find_partner_l(film: Film, state: State, lists: NeighborLists, partner: wp.array | None = None) -> wp.array:
+    """The E that faces each L across a partition, -1 for none. [n_l]."""
+    partner = film.zeros(film.n_l, wp.int32) if partner is None else partner
+    e = state.e
+    film.launch_l(
+        kf.find_partner_l,
+        [
+            *(state.l.x, lists.le.rows, Shared(e.x), Shared(e.normal), Shared(lists.eo.rows)),
+            PARTNER_REACH * film.spacing,
+        ],
+        [partner],
+    )
+    return partner
+
+
+class Exchange:
+    """L that cross between films that touch (section 5.5). Made only where a scene asks for it.
+
+    They cross when the lists between E and L are rebuilt, at the latest when `INTERVAL` has passed.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, fields: Fields):
+        self.film, self.state, self.lists, self.fields = film, state, lists, fields
+        self._partner = film.zeros(film.n_l, wp.int32)
+        self._number = wp.array(np.arange(film.n_l, dtype=np.int32), device=film.device)
+        self._last = state.time
+
+    def due(self, dt: float) -> bool:
+        """Whether L should cross before a step of dt (s)."""
+        return self.state.time + dt - self._last > EXCHANGE_INTERVAL
+
+    def apply(self, dt: float) -> None:
+        """Let L cross; lists between E and L are to be rebuilt afterwards."""
+        film, e, lag = self.film, self.state.e, self.state.l
+        find_partner_l(film, self.state, self.lists, self._partner)
+        chance = -math.expm1(-film.numerics.exchange * (self.state.time + dt - self._last))
+        self._last = self.state.time + dt
+        film.launch_l(
+            kf.exchange_l,
+            [
+                *(lag.x, lag.v, self.lists.le.rows, self._partner, self._number),
+                *map(Shared, (e.x, e.normal, self.fields.gamma, e.region)),
+                *(film.seed + round(240.0 * self._last), chance, dt),
+            ],
+            [lag.region],
+        )
 
 
 class FoamMembrane:
@@ -104,6 +161,25 @@ class FoamMembrane:
         for _ in range(SMOOTHINGS):
             film.launch_e(kf.smooth_exposure_e, [self.exposure, self.geometry.star], [self._rough])
             wp.copy(self.exposure, self._rough)
+
+    def nearest_regions(self) -> np.ndarray:
+        """Other region nearest to each E, -1 for none within reach (reads back: between steps)."""
+        film, e = self.film, self.state.e
+        nearest = film.zeros(film.n_e, wp.int32)
+        film.launch_e(kf.find_nearest_e, [e.x, self.lists.eo.rows], [nearest])
+        found = nearest.numpy()
+        return np.where(found >= 0, e.region.numpy()[np.maximum(found, 0)], -1)
+
+    def find_partners(self, kind: str) -> np.ndarray:
+        """Region that the film of each E ("e") or L ("l") is shared with, -1 for none (reads back: between steps)."""
+        film, e, reach = self.film, self.state.e, PARTNER_REACH * self.film.spacing
+        if kind == "e":
+            partner = film.zeros(film.n_e, wp.int32)
+            film.launch_e(kf.find_partner_e, [e.x, e.normal, self.lists.eo.rows, reach], [partner])
+        else:
+            partner = find_partner_l(film, self.state, self.lists)
+        found = partner.numpy()
+        return np.where(found >= 0, e.region.numpy()[np.maximum(found, 0)], -1)
 
     def solve(self, dt: float) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""

@@ -164,7 +164,8 @@ class NeighborLists:
         self.film.launch_one(kn.reset_travel, [0], [self.travel])
         self.builds[0] += 1
 
-    def _build_l(self) -> None:
+    def rebuild_l(self) -> None:
+        """Fill the lists between E and L for the present positions."""
         x = self.state.e.x
         self._grid.build(x, self.reach)
         self.le.build(self._grid, self.state.l.x, x)
@@ -176,7 +177,7 @@ class NeighborLists:
         """Fill all lists for the present positions; whatever is aligned with them must be made anew."""
         self._build_e()
         if self.le is not None:
-            self._build_l()
+            self.rebuild_l()
 
     def update_e(self) -> None:
         """Rebuild the E:E list if pairs could be missing; to be followed by `Geometry.update`."""
@@ -188,7 +189,7 @@ class NeighborLists:
         if self.le is not None:
             travel = self._read_travel()
             if travel[1] + 1.5 * (travel[2] + travel[3]) > self.skin:
-                self._build_l()
+                self.rebuild_l()
 
     def _read_travel(self) -> np.ndarray:
         return self.travel.numpy()

@@ -167,6 +167,7 @@ def _film(scene, features, e, lagrangian, labels, spacing, rim, n_b, device) -> 
         first=wp.array(np.concatenate([[0], np.cumsum(counts)]), dtype=wp.int32, device=device),
         tension=wp.array(tension, dtype=wp.float32, device=device),
         labels=tuple(labels),
+        seed=scene.seed,
         walls=scene.shape.walls if features.foam else (),
         rim=rim,
     )
@@ -190,8 +191,18 @@ def resume(scene: Scene, stored: dict[str, np.ndarray], labels: tuple[int, ...],
     film, state = _film(scene, Features.of(scene), e, lagrangian, labels, spacing, None, 0, device)
     state.load(stored)
     stepper = Stepper(film, state)
+    stepper.fields.update()
+    _fill_new_gas(film, state)
     stepper.membrane.start_motion()
     return film, stepper
+
+
+def _fill_new_gas(film: Film, state: State) -> None:
+    """The amount of gas of regions that have none yet, from their pressure and measured volume."""
+    gas = state.gas.numpy().copy()
+    new = gas[:, 2] == 0.0
+    gas[new, 2] = (film.surroundings.pressure + gas[new, 1]) * gas[new, 0]
+    state.gas.assign(gas)
 
 
 def _relax(scene: Scene, stepper: Stepper) -> None:

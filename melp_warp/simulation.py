@@ -10,12 +10,15 @@ import numpy as np
 import warp as wp
 
 from melp_warp.errors import InputError, SimulationError
+from melp_warp.events import Events
+from melp_warp.film import Film
 from melp_warp.frame import ParticleFrame
 from melp_warp.kernels import diagnostics as kd
-from melp_warp.sampling import make_film
+from melp_warp.sampling import make_film, resume
 from melp_warp.scene import Scene
 from melp_warp.state import Snapshot
 from melp_warp.stepper import STAGES, Stepper
+from melp_warp.surgery import Stored
 
 
 def find_device(name: str) -> wp.Device:
@@ -43,10 +46,12 @@ class Simulation:
 
     Attributes:
         has_l: whether there are Lagrangian particles.
+        spilled: liquid that left with films that popped, kg.
     """
 
     def __init__(self, scene: Scene, device: str = "cpu"):
         self.scene = scene
+        self.spilled = 0.0
         self.device = find_device(device)
         try:
             self.film, self.stepper = make_film(scene, self.device)
@@ -57,12 +62,18 @@ class Simulation:
             raise InputError(
                 f"e_count and l_per_e must fit the memory of {self.device}, got {count:,} particles"
             ) from None
-        self.state = self.stepper.state
-        self.has_l = self.state.l is not None
-        self._snapshot = Snapshot(self.state)
-        self._summary = self.film.parts(kd.vec12d)
-        self._energy = self.film.parts(wp.float64)
+        self.has_l = self.stepper.state.l is not None
         self._last_dt, self._step_limit, self._substeps = 0.0, 0.0, 0
+        self._ids = {"e": np.arange(self.film.n_e), "l": np.arange(self.film.n_l)}
+        self._adopt(self.film, self.stepper)
+        self.events = Events(scene.shape) if self.film.features.foam else None
+
+    def _adopt(self, film: Film, stepper: Stepper) -> None:
+        """Go on with this film and stepper."""
+        self.film, self.stepper, self.state = film, stepper, stepper.state
+        self._snapshot = Snapshot(self.state)
+        self._summary = film.parts(kd.vec12d)
+        self._energy = film.parts(wp.float64)
 
     @property
     def time(self) -> float:
@@ -86,17 +97,19 @@ class Simulation:
             SimulationError: names the stage and the particle; the state is then that of the last good frame.
         """
         end = (self.state.frame + 1) / self.scene.fps
+        self._change_regions()
         self._substeps = 0
         for stage in STAGES:
             self.stepper.wall[stage] = 0.0
         try:
             while end - self.time > 1e-9 / self.scene.fps:
-                left = end - self.time
+                left = self._until(end) - self.time
                 self._step_limit = self.largest_step()
                 self.step(left / math.ceil(left / self._step_limit - 1e-6))
                 self._substeps += 1
                 if not self.device.is_cuda:
                     self.stepper.check()
+                self._change_regions()
             self.stepper.check()
         except SimulationError as error:
             self._snapshot.restore(self.state)
@@ -107,6 +120,20 @@ class Simulation:
         self.state.frame += 1
         self.state.time = end
         self._snapshot.save(self.state)
+
+    def _until(self, end: float) -> float:
+        """End of the frame, or the time of an event before it, s."""
+        following = self.events.following(self.time) if self.events else None
+        return end if following is None else min(end, following)
+
+    def _change_regions(self) -> None:
+        """Let regions pop, merge and appear whose time has come; the run is set up anew for what is left."""
+        while self.events is not None and (change := self.events.due(self)) is not None:
+            stored = Stored(self.state.numpy(), dict(self._ids), list(self.film.labels), self.spilled)
+            change(stored)
+            self._ids, self.spilled = stored.ids, stored.spilled
+            film, stepper = resume(self.scene, stored.arrays, tuple(stored.labels), self.film.spacing, self.device)
+            self._adopt(film, stepper)
 
     def largest_step(self) -> float:
         """The scene's dt, or the step in which the fastest particle of the last one moves `cfl` spacings, s.
@@ -143,14 +170,18 @@ class Simulation:
             e = self.state.e
             x, v, normal = (a.numpy()[:n] for a in (e.x, e.u, e.normal))
             eta, area = self.stepper.fields.eta.numpy(), self.stepper.geometry.area.numpy()
+        source = self.state.l if which == "l" else self.state.e
+        region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
+        ids = self._ids[which]
+        order = np.argsort(ids, kind="stable")
         return ParticleFrame(
-            points=x.astype(np.float32),
-            velocities=v.astype(np.float32),
-            ids=np.arange(n, dtype=np.int64),
-            widths=np.sqrt(4.0 / np.pi * area).astype(np.float32),
-            normals=normal.astype(np.float32),
-            thickness=(eta * 1e9).astype(np.float32),
-            region=np.zeros(n, dtype=np.int32),
+            points=x.astype(np.float32)[order],
+            velocities=v.astype(np.float32)[order],
+            ids=ids[order].astype(np.int64),
+            widths=np.sqrt(4.0 / np.pi * area).astype(np.float32)[order],
+            normals=normal.astype(np.float32)[order],
+            thickness=(eta * 1e9).astype(np.float32)[order],
+            region=region[order],
             black_film=np.zeros(n, dtype=np.int32),
         )
 
@@ -159,7 +190,8 @@ class Simulation:
         film, state, stepper = self.film, self.state, self.stepper
         stepper.fields.update()
         sums = self._sums()
-        gas = state.gas.numpy()[0]
+        gas = state.gas.numpy()
+        closed = film.features.closed
         result = {
             "frame": state.frame,
             "time": state.time,
@@ -168,9 +200,10 @@ class Simulation:
             "solvers": self._solver_reports(),
             "e_count": film.n_e,
             "l_count": film.n_l,
-            "area": float(gas[4]),
-            "volume": float(gas[0]) if film.features.closed else None,
-            "pressure": float(gas[1]) if film.features.closed else None,
+            "area": float(gas[:, 4].sum()),
+            "volume": float(gas[:, 0].sum()) if closed else None,
+            "pressure": float(gas[0, 1]) if closed else None,
+            **(self._foam_diagnostics(gas) if film.features.foam else {}),
             "mass": sums[0],
             "surfactant": sums[1],
             "momentum": sums[2:5].tolist(),
@@ -186,6 +219,16 @@ class Simulation:
             "wall_ms": {name: 1e3 * seconds for name, seconds in stepper.wall.items() if seconds > 0.0},
         }
         return {k: float(v) if isinstance(v, np.floating) else v for k, v in result.items()}
+
+    def _foam_diagnostics(self, gas: np.ndarray) -> dict:
+        return {
+            "regions": list(self.film.labels),
+            "volumes": gas[:, 0].tolist(),
+            "pressures": gas[:, 1].tolist(),
+            "gas": gas[:, 2].tolist(),
+            "exposed": float(self.stepper.membrane.exposure.numpy().mean()),
+            "spilled": self.spilled,
+        }
 
     def _sums(self) -> np.ndarray:
         film, state = self.film, self.state

@@ -12,7 +12,7 @@ import warp as wp
 from melp_warp.advance import EulerianAdvance, LagrangianAdvance, Redistribution
 from melp_warp.errors import SimulationError
 from melp_warp.film import Film
-from melp_warp.foam import FoamMembrane
+from melp_warp.foam import Exchange, FoamMembrane
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
@@ -54,6 +54,7 @@ class Stepper:
         shifted = f.moving and film.numerics.redistribution > 0.0
         self.redistribution = Redistribution(film, state, self.lists, self.geometry) if shifted else None
         self.l_advance = LagrangianAdvance(film, state, self.lists, self.geometry) if f.lagrangian else None
+        self.exchange = Exchange(film, state, self.lists, self.fields) if f.exchanges else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
         still = film.zeros(1, wp.vec3)
         self.start, self.frame = (self.membrane.start, self.membrane.frame) if f.moving else (still, still)
@@ -69,7 +70,11 @@ class Stepper:
         """Advance the film by dt (s)."""
         f, e = self.film.features, self.state.e
         with self._stage("neighbors"):
-            self.lists.update_l()
+            if self.exchange is not None and self.exchange.due(dt):
+                self.exchange.apply(dt)  # (27), (28)
+                self.lists.rebuild_l()
+            else:
+                self.lists.update_l()
         with self._stage("l_to_e"):
             if f.lagrangian:
                 self.transfer.l_to_e()  # (6), (7)
