@@ -352,9 +352,18 @@ def store_gas_r(
 
 
 @wp.func
-def press(gap: float, push: float, give: float) -> float:
-    """Pressure between two interfaces: `push` at gap 0, none from `give` on. Pa."""
-    return wp.max(0.0, push * (1.0 - gap / give))
+def press(gap: float, push: float, give: float, hard: float):
+    """Pressure between two interfaces, Pa, and minus its slope, Pa/m.
+
+    It is `push` at gap 0 and none from `give` on. Where they overlap, `hard` (Pa/m) is added to the slope: enough to
+    stop in a step what comes faster than `push` could stop.
+    """
+    pressure = wp.max(0.0, push * (1.0 - gap / give))
+    slope = wp.where(pressure > 0.0, push / give, 0.0)
+    if gap < 0.0:
+        pressure -= hard * gap
+        slope += hard
+    return pressure, slope
 
 
 @wp.kernel
@@ -416,7 +425,9 @@ def press_foam_e(
     predicted: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
+    mass: wp.array(dtype=float),
     region: wp.array(dtype=wp.int32),
+    added: wp.array(dtype=float),
     push: wp.array(dtype=float),
     facing: Neighbors,
     contact: Contact,
@@ -439,7 +450,9 @@ def press_foam_e(
         predicted: [n] m.
         normal: [n] unit normals.
         area: [n_e] m^2.
+        mass: [n_e] kg.
         region: [n] region of each E.
+        added: [regions] mass of the air that moves along, kg/m^2.
         push: [regions] pressure at gap 0, Pa.
         facing: E of other regions near each E.
         contact: constants.
@@ -458,6 +471,7 @@ def press_foam_e(
     k = rows.stop[i]
     total = float(0.0)
     stiff = float(0.0)
+    inertia = mass[i] / area[i] + added[region[i]]
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
         d = predicted[j] - at
@@ -467,13 +481,14 @@ def press_foam_e(
             along = wp.normalize(n - m)
             gap = wp.dot(d, along)
             strength = 0.5 * (push[region[i]] + push[region[j]])
-            pressure = press(gap, strength, contact.give)
+            hard = 0.5 * (inertia + added[region[j]] + mass[j] / area[j]) / (dt * dt)
+            pressure, slope = press(gap, strength, contact.give, hard)
             if pressure > 0.0:
                 a = area[i] * area[j] * w
                 ci = wp.dot(along, n)
                 cj = -wp.dot(along, m)
                 total -= a * pressure * ci
-                c = dt * dt * a * strength / contact.give * ci
+                c = dt * dt * a * slope * ci
                 stiff += c * (ci + cj)
                 if k < room:
                     rows.index[k] = j
@@ -484,10 +499,10 @@ def press_foam_e(
         if facing_wall > 0.0:
             gap = wp.dot(at - contact.point[w], contact.inward[w])
             strength = push[region[i]]
-            pressure = press(gap, strength, contact.give)
+            pressure, slope = press(gap, strength, contact.give, inertia / (dt * dt))
             if pressure > 0.0:
                 total -= area[i] * pressure * facing_wall
-                stiff += dt * dt * area[i] * strength / contact.give * facing_wall * facing_wall
+                stiff += dt * dt * area[i] * slope * facing_wall * facing_wall
     force[i] = force[i] + total
     diag[i] = stiff
     wanted[i] = k - rows.start[i]

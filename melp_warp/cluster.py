@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +14,11 @@ from melp_warp.shapes import Samples, Shape, Sphere
 def _vector(name: str, value) -> None:
     ok = len(value) == 3 and bool(np.all(np.isfinite(value)))
     require(ok, name, value, "three finite numbers")
+
+
+def e_spacing(radii: Iterable[float], e_count: int) -> float:
+    """Spacing of `e_count` E spread evenly over bubbles of these radii (m), m."""
+    return float(np.sqrt(4.0 * np.pi * sum(r**2 for r in radii) / e_count))
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ class FoamMembrane:
         film.launch_e(
             kf.press_foam_e,
             [
-                *(self.predicted, e.normal, geometry.area, e.region, self.push),
+                *(self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push),
                 *(self.lists.eo.rows, self.contact, self._stride, dt),
             ],
             [self.force, operator.diag, operator.rows, operator.pair, self.wanted],

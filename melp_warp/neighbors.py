@@ -16,6 +16,9 @@ GRID_CELLS = 64
 ROOM = 1.4
 """Room of a row over the longest one when it was made."""
 
+CROWD_ROOM = 64
+"""Further room for the E near an E of a foam: they crowd for a while where films meet."""
+
 FACING_ROOM = 256
 """Least room for the E of other regions near an E: at the start there may be none."""
 
@@ -138,11 +141,12 @@ class NeighborLists:
         self._grid.build(x, self.reach)
         of_e = state.e.region
         several = film.features.foam
-        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, int(kn.SAME), (of_e, of_e) if several else None)
+        of_both, room = ((of_e, of_e), CROWD_ROOM) if several else (None, 8)
+        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, int(kn.SAME), of_both, room)
         self.le = self.el = self.be = self.eo = None
         if several:
             self.eo_reach = film.contact_reach + self.skin
-            self.eo = NeighborList(self._grid, x, film.n_e, x, self.eo_reach, int(kn.OTHER), (of_e, of_e), FACING_ROOM)
+            self.eo = NeighborList(self._grid, x, film.n_e, x, self.eo_reach, int(kn.OTHER), of_both, FACING_ROOM)
         if state.l is not None:
             regions = (state.l.region, of_e) if several else None
             self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, int(kn.ALL), regions)

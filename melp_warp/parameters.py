@@ -198,7 +198,7 @@ FOAM: Mapping[str, Value] = MappingProxyType(
         "support": 3.0,
         "air": "added_mass",
         "cfl": 0.5,
-        "redistribution": 0.3,
+        "redistribution": 1.0,
     }
 )
 """Values with which foams run well: what `declare` is given in every scene of several bubbles."""
