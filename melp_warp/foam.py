@@ -29,10 +29,6 @@ from melp_warp.surfactant import Fields
 CONTACT_ROOM = 96
 """Room for the E that one E presses on, besides its star."""
 
-BALL = 0.85
-"""Radius of the ball that decides what is exposed, in radii of the border: below 1 because the normals next to a border
-are smoothed and lean towards it. Found with the static test (docs/foams.md)."""
-
 BORDER_REACH = 2.0
 """Distance within which the ways out of a border are found, in radii of the border."""
 
@@ -57,7 +53,7 @@ def make_contact(film: Film, walls) -> kf.Contact:
         array = np.array(values, dtype=np.float32).reshape(-1, 3)
         setattr(contact, name, wp.array(array, dtype=wp.vec3, device=film.device))
     contact.reach, contact.give = 2.5 * dx, 0.25 * dx
-    contact.ball, contact.ramp = BALL * n.border * dx, 0.6 * dx
+    contact.ball, contact.ramp = n.border * dx, 0.6 * dx
     contact.suction = film.material.film_tension / (n.border * dx)
     return contact
 
