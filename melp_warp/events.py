@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from melp_warp.simulation import Simulation
 
 BORDER_EXPOSURE = 0.3
-"""Where two regions merge, the film between them goes up to this exposure: with its borders, or the hole would not heal."""
+"""Where two regions merge, the film between them goes up to this exposure, borders and all, so that the hole heals."""
 
 WALL_REACH = 0.5
 """Height above a wall that pops bubbles at which one touches it, in E spacings."""
@@ -37,6 +37,11 @@ class Events:
         late = [k for k, b in enumerate(cluster.bubbles) if b.born > 0.0]
         self.unborn = sorted(late, key=lambda k: cluster.bubbles[k].born)
         self._popping = [wall for wall in cluster.walls if wall.pops]
+
+    def skip(self, time: float, unborn: list[int]) -> None:
+        """Forget what happened up to `time` (s), with these bubbles still to come."""
+        self.pending = [event for event in self.pending if event.time > time + 1e-12]
+        self.unborn = list(unborn)
 
     def following(self, time: float) -> float | None:
         """Time of the next change that is not due yet, s; None for none."""

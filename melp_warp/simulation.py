@@ -270,10 +270,34 @@ class Simulation:
         path = Path(path)
         temporary = path.with_name(path.name + ".tmp")
         with open(temporary, "wb") as file:
-            np.savez(file, **self.state.numpy())
+            np.savez(file, **self.state.numpy(), **self._foam_record())
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
+
+    def _foam_record(self) -> dict[str, np.ndarray]:
+        """What a checkpoint of a foam holds besides the state."""
+        if self.events is None:
+            return {}
+        return {
+            **{f"ids.{kind}": ids for kind, ids in self._ids.items()},
+            "labels": np.array(self.film.labels),
+            "unborn": np.array(self.events.unborn, dtype=int),
+            "spilled": np.array(self.spilled),
+        }
+
+    def _load_foam(self, path: str | os.PathLike, stored: dict[str, np.ndarray]) -> None:
+        names = [*self.state.arrays(), *self._foam_record(), "time", "frame"]
+        missing = [name for name in names if name not in stored]
+        if missing or max(stored["labels"]) >= len(self.scene.shape.bubbles):
+            lacking = ", ".join(missing) or "region of this scene"
+            raise InputError(f"checkpoint {path} must be of this scene, it has no {lacking}")
+        self._ids = {kind: stored[f"ids.{kind}"] for kind in "el"}
+        self.spilled = float(stored["spilled"])
+        self.events = Events(self.scene.shape)
+        self.events.skip(float(stored["time"]), stored["unborn"].tolist())
+        labels = tuple(int(k) for k in stored["labels"])
+        self._adopt(*resume(self.scene, stored, labels, self.film.spacing, self.device))
 
     def load_checkpoint(self, path: str | os.PathLike) -> None:
         """Go on from a checkpoint of the same scene.
@@ -282,6 +306,9 @@ class Simulation:
             InputError: the file does not fit the scene.
         """
         with np.load(path) as stored:
+            if self.film.features.foam:
+                self._load_foam(path, dict(stored))
+                return
             for name, array in self.state.arrays().items():
                 if name not in stored or len(stored[name]) != len(array):
                     raise InputError(f"checkpoint {path}: {name} must have {len(array)} entries for this scene")

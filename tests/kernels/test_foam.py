@@ -1,0 +1,223 @@
+"""Foams on the device: tension of stars, exposure, contact, the gas in the solve, exchange of L."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from melp_warp.cluster import Bubble, Cluster, Wall
+from melp_warp.foam import FoamMembrane
+from melp_warp.material import Surroundings
+from melp_warp.sampling import make_film
+from tests.helpers import fitted_order, make_stepper
+
+R = 0.05
+
+
+def pair(gap, **options):
+    """Two equal bubbles, `gap` (m) apart."""
+    return Cluster((Bubble((-R - gap / 2, 0.0, 0.0), R), Bubble((R + gap / 2, 0.0, 0.0), R)), **options)
+
+
+def foam(shape, e_count, device, **options):
+    """Film and stepper of a foam with the numerics of the scenes."""
+    return make_stepper(shape, e_count, device, numerics={"support": 3.0, "redistribution": 1.0}, **options)
+
+
+def star_force(s):
+    """[n_e, 3] sum_j w_ij (x_j - x_i), m, and the pairs it came from."""
+    star, tie = s.geometry.star, s.geometry.tie.numpy()
+    start, stop, index = star.start.numpy(), star.stop.numpy(), star.index.numpy()
+    row = np.repeat(np.arange(len(start)), stop - start)
+    slot = np.concatenate([np.arange(a, b) for a, b in zip(start, stop, strict=True)])
+    x = s.state.e.x.numpy().astype(np.float64)
+    force = np.zeros_like(x)
+    np.add.at(force, row, tie[slot, None] * (x[index[slot]] - x[row]))
+    return force, row, index[slot], tie[slot]
+
+
+def test_star_force_is_the_curvature_of_a_sphere(device):
+    """sum_j w_ij d_ij / a_i = -2/R n within 0.3 % at 1,000 E, second order in the mean; it adds up to nothing."""
+    errors, sizes = [], (500, 1000, 2000)
+    for count in sizes:
+        _, s = foam(Cluster((Bubble((0.0, 0.0, 0.0), R),)), count, device)
+        force, *_ = star_force(s)
+        normal, area = s.state.e.normal.numpy(), s.geometry.area.numpy()
+        kappa = np.sum(force * normal, axis=1) / area
+        errors.append(abs(kappa.mean() * R / 2.0 + 1.0))
+        assert np.abs(force.sum(axis=0)).max() < 1e-5 * np.abs(force).sum()
+    assert errors[1] < 3e-3
+    assert fitted_order(1.0 / np.sqrt(sizes), errors) > 1.7
+
+
+def test_star_pairs_are_symmetric(device):
+    """w_ij = w_ji to the bit, so that tension conserves momentum."""
+    _, s = foam(pair(0.02), 600, device)
+    _, row, column, tie = star_force(s)
+    weights = dict(zip(zip(row.tolist(), column.tolist(), strict=True), tie.tolist(), strict=True))
+    kept = {k: w for k, w in weights.items() if w > 0.0}
+    assert len(kept) > 5 * 600
+    assert all(kept[(i, j)] == kept[(j, i)] for i, j in kept)
+
+
+def test_star_vectors_close(device):
+    """Gradients of the volume: N.x/3 adds up to the volume of the polyhedron, N to nothing."""
+    _, s = foam(Cluster((Bubble((0.3, 0.0, 0.0), R),)), 1000, device)
+    vector = s.geometry.vector.numpy().astype(np.float64)
+    x = s.state.e.x.numpy() - np.array([0.3, 0.0, 0.0])
+    assert np.sum(vector * x) / 3.0 == pytest.approx(4.0 / 3.0 * np.pi * R**3, rel=0.01)
+    assert np.abs(vector.sum(axis=0)).max() < 1e-3 * np.abs(vector).sum()
+
+
+def test_bubbles_apart_are_exposed(device):
+    """Beyond two border radii nothing is felt; closer than that the caps facing each other are not exposed."""
+    _, far = foam(pair(0.05), 600, device)
+    far.membrane.find_contacts()
+    assert np.all(far.membrane.exposure.numpy() == 1.0)
+    _, near = foam(pair(0.001), 600, device)
+    near.membrane.find_contacts()
+    exposure, x = near.membrane.exposure.numpy(), near.state.e.x.numpy()
+    assert np.all(exposure[np.abs(x[:, 0]) < 0.004] < 0.2)
+    assert np.all(exposure[np.abs(x[:, 0]) > 0.05] == 1.0)
+
+
+def test_contact_forces_add_up_to_nothing(device):
+    """What one bubble feels of the other is the opposite of what that feels, overlapping by a third of a spacing."""
+    film, s = foam(pair(0.0), 1000, device)
+    shift = np.where(s.state.e.region.numpy() == 0, 1.0, -1.0)[:, None] * np.array([0.17 * film.spacing, 0.0, 0.0])
+    s.state.e.x.assign((s.state.e.x.numpy() + shift).astype(np.float32))
+    s.lists.rebuild()
+    s.geometry.update()
+    s.membrane.solve(1e-3)
+    normal = s.state.e.normal.numpy().astype(np.float64)
+    m = s.membrane
+    m._assemble(1e-3)
+    total = m.force.numpy().astype(np.float64)
+    m.film.launch_e(*pull_only(m, 1e-3))
+    contact = (total - m.force.numpy())[:, None] * normal
+    first = s.state.e.region.numpy() == 0
+    push = contact[first].sum(axis=0)
+    assert push[0] < 0.0
+    assert np.abs(contact.sum(axis=0)).max() < 0.02 * np.abs(push[0])
+
+
+def pull_only(m: FoamMembrane, dt):
+    """The launch of the tension alone, into `m.force`."""
+    from melp_warp.kernels import foam as kf
+
+    g, operator = m.geometry, m.response.operator
+    inputs = [m.predicted, m.state.e.normal, m.fields.gamma, m.exposure, m.state.e.region]
+    inputs += [m.film.tension, m.film.slope, g.star, g.tie, dt]
+    return kf.pull_foam_e, inputs, [m.force, operator.rows, operator.pair]
+
+
+def test_gas_solver_leaves_a_small_true_residual(device):
+    """(A + sum_g k s s^T) x = b holds to the solver's tolerance, with gas 1e4 times stiffer than the film."""
+    _, s = foam(pair(0.001), 600, device)
+    m = s.membrane
+    rng = np.random.default_rng(1)
+    s.state.e.u.assign((s.state.e.normal.numpy() * rng.normal(size=(len(s.state.e.x), 1))).astype(np.float32))
+    m.solve(1e-3)
+    solver = m.response
+    rows, pair_, diag = solver.operator.rows, solver.operator.pair.numpy(), solver.operator.diag.numpy()
+    x, b, sweep = (a.numpy().astype(np.float64) for a in (solver.x, solver.b, solver.sweep))
+    start, stop, index = rows.start.numpy(), rows.stop.numpy(), rows.index.numpy()
+    y = diag * x
+    for i in range(len(x)):
+        k = slice(start[i], stop[i])
+        y[i] += np.sum(pair_[k] * (x[i] - x[index[k]]))
+    region, stiff = s.state.e.region.numpy(), solver.stiff.numpy().astype(np.float64)
+    for g in range(2):
+        mine = region == g
+        y[mine] += stiff[g] * sweep[mine] * np.sum(sweep[mine] * x[mine])
+    assert np.linalg.norm(y - b) < 2e-3 * np.linalg.norm(b)
+
+
+def test_exchange_conserves_and_repeats(device):
+    """L change their region, nothing else; the same seed gives the same regions, another one others."""
+    found = []
+    for seed in (0, 0, 1):
+        shape = Cluster((Bubble((-R, 0.0, 0.0), R), Bubble((R, 0.0, 0.0), R, thickness=600e-9)))
+        options = {"support": 3.0, "exchange": 1e4}
+        _, s = make_stepper(shape, 600, device, 8, options, seed=seed, concentration=uneven)
+        before = [a.numpy().copy() for a in (s.state.l.mass, s.state.l.surfactant, s.state.l.v)]
+        s.exchange.apply(1.0 / 60.0)
+        after = [a.numpy() for a in (s.state.l.mass, s.state.l.surfactant, s.state.l.v)]
+        assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+        found.append(s.state.l.region.numpy().copy())
+    start = make_film_regions(shape, device)
+    assert np.any(found[0] != start)
+    assert np.array_equal(found[0], found[1])
+    assert np.any(found[0] != found[2])
+
+
+def uneven(x):
+    """More surfactant on the right."""
+    return 1e-7 * (1.0 + 0.5 * x[:, 0] / R)
+
+
+def make_film_regions(shape, device):
+    """Regions of the L before anything crossed."""
+    _, s = make_stepper(shape, 600, device, 8, {"support": 3.0})
+    return s.state.l.region.numpy()
+
+
+def test_wall_carries_a_bubble(device):
+    """A bubble on a wetted wall clings to it: the E there are not exposed, and it does not fall through."""
+    shape = Cluster((Bubble((0.0, R, 0.0), R),), (Wall((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),))
+    surroundings = Surroundings(air="added_mass", damping=30.0, gravity=(0.0, -9.81, 0.0))
+    film, s = foam(shape, 800, device, surroundings=surroundings)
+    for _ in range(40):
+        s.step(1.0 / 480.0)
+        s.check()
+    y, exposure = s.state.e.x.numpy()[:, 1], s.membrane.exposure.numpy()
+    assert y.min() > -0.3 * film.spacing
+    assert np.all(exposure[y < 0.1 * film.spacing] < 0.5)
+    assert np.sum(y < 0.3 * film.spacing) > 20
+
+
+def test_single_region_sums_match_numpy(device):
+    """Sums by region are those of NumPy over each region's E."""
+    film, s = make_film_pair(device)
+    u = s.state.e.normal.numpy() * np.arange(film.n_e)[:, None] / film.n_e
+    s.state.e.u.assign(u.astype(np.float32))
+    s.membrane._sweep()
+    parts = s.membrane._swept.numpy().reshape(2, -1).sum(axis=1)
+    normal, vector = s.state.e.normal.numpy().astype(np.float64), s.geometry.vector.numpy().astype(np.float64)
+    each = np.sum(vector * normal, axis=1) * np.sum(s.state.e.u.numpy() * normal, axis=1)
+    expected = np.bincount(s.state.e.region.numpy(), each)
+    assert parts == pytest.approx(expected, rel=1e-5)
+    assert np.array_equal(film.first.numpy(), np.concatenate([[0], np.cumsum(np.bincount(s.state.e.region.numpy()))]))
+
+
+def make_film_pair(device):
+    """Two bubbles of different size."""
+    shape = Cluster((Bubble((-R, 0.0, 0.0), R), Bubble((0.6 * R, 0.0, 0.0), 0.6 * R)))
+    return foam(shape, 700, device)
+
+
+def test_one_launch_count_whatever_the_regions(device, monkeypatch):
+    """Eight bubbles run no more launches a step than two."""
+    from melp_warp import launch as launcher
+
+    counts = []
+    for n in (2, 8):
+        bubbles = tuple(Bubble((2.05 * R * k, 0.0, 0.0), R) for k in range(n))
+        _, s = foam(Cluster(bubbles), 130 * n, device)
+        s.step(1e-4)
+        calls = []
+        real = wp.launch
+        monkeypatch.setattr(launcher.wp, "launch", lambda *a, **k: (calls.append(1), real(*a, **k))[1])  # noqa: B023
+        s.step(1e-4)
+        monkeypatch.undo()
+        counts.append(len(calls))
+    assert counts[1] <= counts[0]
+
+
+def test_film_has_no_foam_where_there_is_one_bubble(device):
+    """A lone film has neither stars nor lists of other regions."""
+    from melp_warp.scene import Scene
+    from melp_warp.shapes import Sphere
+
+    _, s = make_film(Scene("one", Sphere(R), 300), device)
+    assert s.lists.eo is None
+    assert s.geometry.tie is None

@@ -1,0 +1,197 @@
+"""Foams in time, small: Plateau's angles, gas, conservation, events. `tools/validate_foams.py` runs them large."""
+
+import numpy as np
+import pytest
+
+from melp_warp import foam_validation as v
+from melp_warp.cluster import Bubble, Cluster, Merge, Pop, Wall
+from melp_warp.errors import InputError
+from melp_warp.material import Surroundings
+from melp_warp.numerics import Numerics
+from melp_warp.scene import Scene
+from melp_warp.simulation import Simulation
+
+R = 0.05
+AIR = Surroundings(air="added_mass", damping=30.0)
+NUMERICS = Numerics(support=3.0, cfl=0.5)
+
+
+def cluster_scene(bubbles, e_count, *, walls=(), events=(), **options):
+    """A foam scene at 120 frames a second."""
+    options = {"surroundings": AIR, "numerics": NUMERICS, "fps": 120.0, **options}
+    return Scene("foam", Cluster(bubbles, walls, events), e_count, **options)
+
+
+def two(e_count=600, events=(), **options):
+    """Two bubbles that all but touch."""
+    return cluster_scene((Bubble((-R, 0.0, 0.0), R), Bubble((R, 0.0, 0.0), R)), e_count, events=events, **options)
+
+
+def test_two_bubbles_settle_as_a_double_bubble():
+    """1,000 E a bubble: dihedral angles within 4 degrees of 120, area within 0.5 % of the least, gas within 1e-4.
+
+    The angle is off by a few spacings over the radius; at 10,000 E it is within 1.2 degrees (docs/validation-foams.md).
+    """
+    r = v.double_bubble(1000, frames=90)
+    assert r["error"] < 4.0
+    assert abs(r["area_error"]) < 5e-3
+    assert r["volume_drift"] < 1e-4
+    assert r["speed"] < 0.2
+
+
+def test_partition_bends_as_the_pressures_say():
+    """R2 = 0.6 R1: the partition's curvature is that of the caps' pressure difference, within 5 % at 2,000 E."""
+    assert abs(v.double_bubble(2000, ratio=0.6, frames=90)["curvature_error"]) < 0.05
+
+
+def test_static_pull_falls_with_the_angle_as_theory_says():
+    """d/dtheta (2 cos(theta/2) - 1) = -sin(60)/180 pi a degree, within 20 %; it balances within 5 degrees of 120."""
+    r = v.balancing_angle(1000)
+    assert r["slope"] == pytest.approx(-np.sin(np.radians(60.0)) * np.pi / 180.0, rel=0.2)
+    assert abs(r["error"]) < 5.0
+
+
+def test_liquid_is_conserved_while_it_crosses():
+    """Mass and surfactant within 1e-6 while L cross the partition, and some do."""
+    scene = two(400, l_per_e=4, numerics=Numerics(support=3.0, cfl=0.5, exchange=100.0))
+    simulation = Simulation(scene)
+    start, before = simulation.diagnostics(), simulation.state.l.region.numpy().copy()
+    for _ in range(12):
+        simulation.advance_frame()
+    end = simulation.diagnostics()
+    assert end["mass"] == pytest.approx(start["mass"], rel=1e-6)
+    assert end["surfactant"] == pytest.approx(start["surfactant"], rel=1e-6)
+    assert np.any(simulation.state.l.region.numpy() != before)
+
+
+def test_same_seed_same_foam():
+    """Two runs agree to the bit."""
+    scene = two(400, l_per_e=2, numerics=Numerics(support=3.0, cfl=0.5, exchange=100.0))
+    runs = []
+    for _ in range(2):
+        simulation = Simulation(scene)
+        for _ in range(4):
+            simulation.advance_frame()
+        runs.append(simulation.state.numpy())
+    assert all(np.array_equal(runs[0][name], runs[1][name]) for name in runs[0])
+
+
+def test_pop_leaves_the_neighbour_with_the_shared_liquid():
+    """Region 0 pops: region 1 keeps its label, ids and gas; liquid is conserved with what is spilled."""
+    simulation = Simulation(two(400, l_per_e=4, events=(Pop(0.1, 0),)))
+    start = simulation.diagnostics()
+    ids = simulation.particles("e").ids
+    for _ in range(16):
+        simulation.advance_frame()
+    end, frame = simulation.diagnostics(), simulation.particles("e")
+    assert end["regions"] == [1]
+    assert np.all(frame.region == 1)
+    assert set(frame.ids) < set(ids)
+    assert end["gas"][0] == pytest.approx(start["gas"][1], rel=1e-9)
+    assert end["mass"] + end["spilled"] == pytest.approx(start["mass"], rel=1e-6)
+    assert end["mass"] > 0.51 * start["mass"]
+
+
+def test_merge_adds_the_gas_and_keeps_the_liquid():
+    """The partition breaks: one bubble with both amounts of gas, at the pressure of its size, round after 0.3 s."""
+    simulation = Simulation(two(800, l_per_e=2, events=(Merge(0.1, 0, 1),)))
+    start = simulation.diagnostics()
+    for _ in range(60):
+        simulation.advance_frame()
+    end = simulation.diagnostics()
+    assert end["regions"] == [0]
+    assert end["gas"][0] == pytest.approx(sum(start["gas"]), rel=1e-9)
+    assert end["mass"] == pytest.approx(start["mass"], rel=1e-6)
+    merged = R * 2.0 ** (1.0 / 3.0)
+    sigma = simulation.scene.material.film_tension
+    assert end["pressures"][0] == pytest.approx(4.0 * sigma / merged, rel=0.03)
+    points = simulation.particles("e").points
+    assert np.linalg.norm(points - points.mean(axis=0), axis=1) == pytest.approx(merged, rel=0.05)
+
+
+def test_a_bubble_appears_when_its_place_is_free():
+    """Born at 0.02 s where there is room, and never where there is none."""
+    bubbles = (
+        Bubble((0.0, 0.0, 0.0), R),
+        Bubble((0.0, 3.0 * R, 0.0), 0.8 * R, born=0.02),
+        Bubble((0.0, R, 0.0), R, born=0.01),
+    )
+    simulation = Simulation(cluster_scene(bubbles, 300))
+    seen = []
+    for _ in range(4):
+        simulation.advance_frame()
+        seen.append(simulation.diagnostics()["regions"])
+    assert seen == [[0], [0], [0, 1], [0, 1]]
+    gas = simulation.diagnostics()
+    assert gas["volumes"][1] == pytest.approx(4.0 / 3.0 * np.pi * (0.8 * R) ** 3, rel=0.01)
+
+
+def test_a_wall_pops_what_touches_it():
+    """The bubble that flies into a wall that pops is gone; the other stays."""
+    bubbles = (Bubble((0.0, 0.0, 0.0), R), Bubble((4.0 * R, 0.0, 0.0), R, velocity=(2.0, 0.0, 0.0)))
+    walls = (Wall((6.0 * R, 0.0, 0.0), (-1.0, 0.0, 0.0), pops=True),)
+    simulation = Simulation(cluster_scene(bubbles, 400, walls=walls, surroundings=Surroundings(air="added_mass")))
+    for _ in range(8):
+        simulation.advance_frame()
+    assert simulation.diagnostics()["regions"] == [0]
+
+
+def test_fast_bubbles_do_not_pass_through_each_other():
+    """Meeting at 4 m/s they flatten, overlap by no more than a spacing and keep their gas."""
+    scene = cluster_scene(
+        (Bubble((-1.1 * R, 0.0, 0.0), R, (2.0, 0.0, 0.0)), Bubble((1.1 * R, 0.0, 0.0), R, (-2.0, 0.0, 0.0))), 800
+    )
+    simulation = Simulation(scene)
+    volumes = np.array(simulation.diagnostics()["volumes"])
+    for _ in range(6):
+        simulation.advance_frame()
+    frame = simulation.particles("e")
+    assert frame.points[frame.region == 0][:, 0].max() < 1.5 * simulation.film.spacing
+    assert np.array(simulation.diagnostics()["volumes"]) == pytest.approx(volumes, rel=1e-3)
+
+
+def test_a_checkpoint_of_a_foam_goes_on(tmp_path):
+    """Saved after a pop, loaded by a fresh run: same regions, particles and events to come."""
+    scene = two(400, events=(Pop(0.02, 0), Pop(10.0, 1)))
+    first = Simulation(scene)
+    for _ in range(4):
+        first.advance_frame()
+    first.save_checkpoint(tmp_path / "c.npz")
+    second = Simulation(scene)
+    second.load_checkpoint(tmp_path / "c.npz")
+    assert second.film.labels == first.film.labels == (1,)
+    assert [e.region for e in second.events.pending] == [1]
+    assert np.array_equal(second.particles("e").ids, first.particles("e").ids)
+    second.advance_frame()
+    assert second.frame == 5
+
+
+def test_bad_checkpoint_of_a_foam(tmp_path):
+    """A file that is not one of this scene is refused."""
+    np.savez(tmp_path / "c.npz", labels=np.array([0]))
+    with pytest.raises(InputError, match="must be of this scene"):
+        Simulation(two(400)).load_checkpoint(tmp_path / "c.npz")
+
+
+@pytest.mark.slow
+def test_double_bubble_at_10000_e():
+    """Dihedral angles within 1 % of 120 degrees, area within 0.5 %."""
+    r = v.double_bubble(10000, frames=120)
+    assert r["error"] < 1.2
+    assert abs(r["area_error"]) < 5e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
+def test_partition_curvature(ratio):
+    """Table 3: within 2 % of 1/R2 - 1/R1."""
+    assert abs(v.double_bubble(6000, ratio=ratio)["curvature_error"]) < 0.02
+
+
+@pytest.mark.slow
+def test_gas_over_five_seconds():
+    """Each region's volume within 0.1 %."""
+    scene = v.foam_scene(*v.pair_of(R, R), 500, frames=1200, l_per_e=4, exchange=20.0)
+    _, _, watched = v.settle(scene)
+    assert watched["volume_drift"] < 1e-3
+    assert max(watched["mass_drift"], watched["surfactant_drift"]) < 1e-5
