@@ -58,6 +58,8 @@ class Stepper:
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
         still = film.zeros(1, wp.vec3)
         self.start, self.frame = (self.membrane.start, self.membrane.frame) if f.moving else (still, still)
+        # lists within a film move along with it; those between regions do not
+        self.at_rest = film.zeros(film.regions, wp.vec3) if f.foam else self.frame
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.steps = 0
         self.geometry.update()
@@ -102,7 +104,7 @@ class Stepper:
                     self.redistribution.apply(dt)  # (20)
                 if self.rim is not None:
                     self.rim.extend()
-                self.lists.record_e(self.e_advance.x_old, self.frame, dt)
+                self.lists.record_e(self.e_advance.x_old, self.at_rest, dt)
             with self._stage("geometry"):
                 self.lists.update_e()
                 self.geometry.update()  # (9), (10), (11)
@@ -111,7 +113,7 @@ class Stepper:
         if f.lagrangian:
             with self._stage("advance_l"):
                 self.l_advance.advance(v, self.frame, self.state.motion, dt)  # Algorithm 7
-                self.lists.record_l(self.frame, dt)
+                self.lists.record_l(self.at_rest, dt)
         self.state.time += dt
         self.steps += 1
 
