@@ -51,7 +51,7 @@ def star_vector_e(
     # outputs
     vector: wp.array(dtype=wp.vec3),
 ):
-    """Gradient of the polyhedral volume, sum d_j x d_j+1 / 6 over the star: a third of its area times its normal. m^2."""
+    """Gradient of the polyhedral volume, sum d_j x d_j+1 / 6 over the star: a third of its area, with normal. m^2."""
     i = wp.tid()
     p = x[i]
     total = wp.vec3()
@@ -74,7 +74,7 @@ def find_exposure_e(
     # outputs
     exposure: wp.array(dtype=float),
 ):
-    """Whether a ball fits outside each E: 1 where the atmosphere touches the film, 0 in borders and partitions.
+    """Whether a ball fits outside each E: 1 where the atmosphere lies on the film, 0 in borders and partitions.
 
     Args:
         x: [n] m.
@@ -109,161 +109,6 @@ def smooth_exposure_e(exposure: wp.array(dtype=float), star: Neighbors, smoothed
         total += 0.5 * exposure[star.index[k]]
         count += 0.5
     smoothed[i] = total / count
-
-
-@wp.kernel
-def find_slip_e(
-    x: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    gamma: wp.array(dtype=float),
-    exposure: wp.array(dtype=float),
-    region: wp.array(dtype=wp.int32),
-    tension: wp.array(dtype=float),
-    slope: float,
-    star: Neighbors,
-    tie: wp.array(dtype=float),
-    # outputs
-    slip: wp.array(dtype=wp.vec3),
-):
-    """Tension along the film that normal motion leaves out: where the atmosphere's interface ends, its pull. [n_e], N.
-
-    Args:
-        x: [n] m.
-        normal: [n] unit normals.
-        gamma: [n_e] relative surfactant concentration.
-        exposure: [n_e] e.
-        region: [n] region of each E.
-        tension: [regions] sigma_0, N/m.
-        slope: R T Gamma_0, N/m.
-        star: neighbours across the cell's edges.
-        tie: [CORNERS n_e] their w_ij.
-        slip: [n_e] N.
-    """
-    i = wp.tid()
-    e = exposure[i]
-    pull = wp.vec3()
-    for s in range(star.start[i], star.stop[i]):
-        j = star.index[s]
-        sigma = tension[region[i]] - 0.5 * slope * (gamma[i] + gamma[j])
-        pull += sigma * (1.0 + 0.5 * (e + exposure[j])) * tie[s] * (x[j] - x[i])
-    slip[i] = tangential(pull, normal[i])
-
-
-@wp.func
-def sum_tips(
-    p: wp.vec3,
-    i: int,
-    x: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    exposure: wp.array(dtype=float),
-    rows: Neighbors,
-    reach: float,
-) -> wp.vec3:
-    """Sum of the normals of a row where the atmosphere's interface leaves the film, weighted by (1 - d^2/reach^2)^2."""
-    total = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        w = wp.max(0.0, 1.0 - wp.length_sq(x[j] - p) / (reach * reach))
-        total += w * w * exposure[j] * (1.0 - exposure[j]) * normal[j]
-    return total
-
-
-@wp.func
-def halve(here: wp.vec3, there: wp.vec3) -> wp.vec3:
-    """Unit vector that halves the angle between two; 0 where one of them is."""
-    out = wp.vec3()
-    if wp.length_sq(here) > 0.0 and wp.length_sq(there) > 0.0:
-        out = wp.normalize(wp.normalize(here) + wp.normalize(there))
-    return out
-
-
-@wp.kernel
-def find_way_e(
-    x: wp.array(dtype=wp.vec3),
-    way_in: wp.array(dtype=wp.vec3),
-    exposure: wp.array(dtype=float),
-    own: Neighbors,
-    facing: Neighbors,
-    reach: float,
-    # outputs
-    way: wp.array(dtype=wp.vec3),
-):
-    """The way out of the border near each E: it halves the angle between the mean directions on its two sides.
-
-    From the normals first: films enter a border at equal angles. Then once more from the result: what one side got
-    wrong by being nearer to itself, the other got wrong the other way round.
-
-    Args:
-        x: [n] m.
-        way_in: [n] unit normals, or the ways of the first pass.
-        exposure: [n_e] e.
-        own: E:E neighbours.
-        facing: E of other regions near each E.
-        reach: m.
-        way: [n_e] unit vectors; 0 away from borders.
-    """
-    i = wp.tid()
-    e = exposure[i]
-    here = e * (1.0 - e) * way_in[i] + sum_tips(x[i], i, x, way_in, exposure, own, reach)
-    way[i] = halve(here, sum_tips(x[i], i, x, way_in, exposure, facing, reach))
-
-
-@wp.kernel
-def weigh_border_e(
-    vector: wp.array(dtype=wp.vec3),
-    exposure: wp.array(dtype=float),
-    slip: wp.array(dtype=wp.vec3),
-    way: wp.array(dtype=wp.vec3),
-    # outputs
-    pull: wp.array(dtype=float),
-    face: wp.array(dtype=float),
-):
-    """Pull of the films on the border near each E, and the face it offers the suction, along the way out.
-
-    Args:
-        vector: [n_e] gradient of the volume, m^2.
-        exposure: [n_e] e.
-        slip: [n_e] N.
-        way: [n_e] see `find_way_e`.
-        pull: [n_e] N.
-        face: [n_e] m^2.
-    """
-    i = wp.tid()
-    pull[i] = wp.dot(slip[i], way[i])
-    face[i] = (1.0 - exposure[i]) * wp.dot(vector[i], way[i])
-
-
-@wp.kernel
-def border_chunks(
-    pull: wp.array(dtype=float),
-    face: wp.array(dtype=float),
-    first: wp.array(dtype=wp.int32),
-    # outputs
-    part: wp.array(dtype=wp.vec2),
-):
-    """Parts of each region's (sum of pulls, sum of faces)."""
-    c = wp.tid()
-    start, stop = part_range(c, first, part.shape[0])
-    total = wp.vec2()
-    for i in range(start, stop):
-        total += wp.vec2(pull[i], face[i])
-    part[c] = total
-
-
-@wp.kernel
-def set_suction(part: wp.array(dtype=wp.vec2), nominal: float, slack: float, suction: wp.array(dtype=float)):
-    """Suction that gives borders back what the films around them pull with, all borders together. suction[0], Pa.
-
-    Of a border of radius r it is sigma/r, `nominal`; where the border ends is known to a part of a spacing only, and
-    the product of suction and face has to be right. It stays within a factor `slack` of the nominal value.
-    """
-    total = wp.vec2()
-    for c in range(part.shape[0]):
-        total += part[c]
-    p = nominal
-    if total[1] > 0.0:
-        p = wp.clamp(total[0] / total[1], nominal / slack, nominal * slack)
-    suction[0] = p
 
 
 @wp.kernel
@@ -520,7 +365,7 @@ def load_foam_e(
     region: wp.array(dtype=wp.int32),
     ahead: wp.array(dtype=float),
     added: wp.array(dtype=float),
-    suction: wp.array(dtype=float),
+    suction: float,
     damping: float,
     u: wp.array(dtype=wp.vec3),
     force: wp.array(dtype=float),
@@ -544,7 +389,7 @@ def load_foam_e(
         region: [n] region of each E.
         ahead: [regions] predicted gauge pressure, Pa.
         added: [regions] mass of the air that moves along, kg/m^2.
-        suction: [1] Pa.
+        suction: Pa.
         damping: rate at which the air takes up normal motion, 1/s.
         u: [n] m/s.
         force: [n_e] tension and contact, N.
@@ -558,7 +403,7 @@ def load_foam_e(
     g = region[i]
     face = wp.dot(vector[i], n)
     inertia = mass[i] + added[g] * area[i]
-    pressure = ahead[g] + (1.0 - exposure[i]) * suction[0]
+    pressure = ahead[g] + (1.0 - exposure[i]) * suction
     slow = dt * damping * inertia
     b[i] = dt * (force[i] + pressure * face + mass[i] * wp.dot(body[i], n)) - slow * wp.dot(u[i], n)
     diag[i] = diag[i] + inertia + slow
@@ -566,10 +411,10 @@ def load_foam_e(
 
 
 @wp.kernel
-def set_push_r(gas: wp.array2d(dtype=wp.float64), suction: wp.array(dtype=float), push: wp.array(dtype=float)):
+def set_push_r(gas: wp.array2d(dtype=wp.float64), suction: float, push: wp.array(dtype=float)):
     """Pressure that holds two interfaces of a region's kind together, gauge + suction. [regions], Pa."""
     g = wp.tid()
-    push[g] = wp.max(float(gas[g, GAUGE]), 0.0) + suction[0]
+    push[g] = wp.max(float(gas[g, GAUGE]), 0.0) + suction
 
 
 @wp.kernel

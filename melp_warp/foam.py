@@ -29,12 +29,6 @@ from melp_warp.surfactant import Fields
 CONTACT_ROOM = 96
 """Room for the E that one E presses on, besides its star."""
 
-BORDER_REACH = 2.0
-"""Distance within which the ways out of a border are found, in radii of the border."""
-
-SUCTION_SLACK = 2.0
-"""Factor by which the suction of a border may differ from sigma over its radius."""
-
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
@@ -114,7 +108,6 @@ class FoamMembrane:
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [regions] velocity of each region as a whole in the step, m/s.
         frame: the same array.
-        suction: [1] pressure of the atmosphere over that of the liquid in the borders, Pa.
         added: [regions] mass of the air that moves along, kg/m^2.
     """
 
@@ -133,10 +126,6 @@ class FoamMembrane:
         self.start = self.frame = film.zeros(film.regions, wp.vec3)
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.added = film.zeros(film.regions)
-        self.suction = wp.full(1, self.contact.suction, dtype=wp.float32, device=film.device)
-        self._slip, self._way_in, self._way = (film.zeros(n, wp.vec3) for _ in range(3))
-        self._pull, self._face = film.zeros(n), film.zeros(n)
-        self._border = film.parts(wp.vec2)
         self._stride = CORNERS + CONTACT_ROOM
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -168,26 +157,6 @@ class FoamMembrane:
         for _ in range(SMOOTHINGS):
             film.launch_e(kf.smooth_exposure_e, [self.exposure, self.geometry.star], [self._rough])
             wp.copy(self.exposure, self._rough)
-        self._find_suction()
-
-    def _find_suction(self) -> None:
-        film, e, geometry = self.film, self.state.e, self.geometry
-        film.launch_e(
-            kf.find_slip_e,
-            [
-                *(e.x, e.normal, self.fields.gamma, self.exposure, e.region, film.tension, film.slope),
-                *(geometry.star, geometry.tie),
-            ],
-            [self._slip],
-        )
-        near = [self.lists.ee.rows, self.lists.eo.rows, BORDER_REACH * film.numerics.border * film.spacing]
-        film.launch_e(kf.find_way_e, [e.x, e.normal, self.exposure, *near], [self._way_in])
-        film.launch_e(kf.find_way_e, [e.x, self._way_in, self.exposure, *near], [self._way])
-        film.launch_e(
-            kf.weigh_border_e, [geometry.vector, self.exposure, self._slip, self._way], [self._pull, self._face]
-        )
-        film.launch_parts(kf.border_chunks, [self._pull, self._face, film.first], [self._border])
-        film.launch_one(kf.set_suction, [self._border, self.contact.suction, SUCTION_SLACK], [self.suction])
 
     def nearest_regions(self) -> np.ndarray:
         """Other region nearest to each E, -1 for none within reach (reads back: between steps)."""
@@ -244,7 +213,7 @@ class FoamMembrane:
 
     def _assemble(self, dt: float) -> None:
         film, e, geometry, operator = self.film, self.state.e, self.geometry, self.response.operator
-        film.launch_regions(kf.set_push_r, [self.state.gas, self.suction], [self.push])
+        film.launch_regions(kf.set_push_r, [self.state.gas, self.contact.suction], [self.push])
         film.launch_e(
             kf.pull_foam_e,
             [
@@ -265,7 +234,7 @@ class FoamMembrane:
             kf.load_foam_e,
             [
                 *(e.normal, geometry.vector, geometry.area, e.mass, self.exposure, self.forces.body, e.region),
-                *(self.ahead, self.added, self.suction, film.surroundings.damping, e.u, self.force, dt),
+                *(self.ahead, self.added, self.contact.suction, film.surroundings.damping, e.u, self.force, dt),
             ],
             [self.response.b, operator.diag, self.response.sweep],
         )
