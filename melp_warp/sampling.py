@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import warp as wp
 
@@ -41,14 +43,13 @@ def _positive(values: np.ndarray, points: np.ndarray, name: str, at_least_zero: 
 
 
 def _check_resolution(scene: Scene, spacing: float) -> None:
-    need = 3.0 * scene.numerics.support**2
-    require(
-        scene.e_count >= need,
-        "e_count",
-        scene.e_count,
-        f"at least {int(np.ceil(need))} with support {scene.numerics.support:g}",
-    )
-    size = 2.0 * scene.numerics.support * spacing
+    support = scene.numerics.support
+    if isinstance(scene.shape, Cluster):
+        _check_smallest(scene.shape, scene.e_count, support)
+        return
+    need = 3.0 * support**2
+    require(scene.e_count >= need, "e_count", scene.e_count, f"at least {math.ceil(need)} with support {support:g}")
+    size = 2.0 * support * spacing
     extent = float(np.min(scene.shape.extent()))
     require(
         extent >= size,
@@ -56,6 +57,16 @@ def _check_resolution(scene: Scene, spacing: float) -> None:
         scene.e_count,
         f"larger: the E spacing {spacing:.3g} m asks for a film of at least {size:.3g} m, it is {extent:.3g} m across",
     )
+
+
+def _check_smallest(cluster: Cluster, e_count: int, support: float) -> None:
+    """Whether the smallest bubble, also one to be born, is at least two kernel supports across."""
+    k = int(np.argmin([b.radius for b in cluster.bubbles]))
+    radius = cluster.bubbles[k].radius
+    need = math.ceil(cluster.area * (support / radius) ** 2)
+    later = "" if len(cluster.initial) == len(cluster.bubbles) else f" for the {len(cluster.initial)} at the start"
+    allowed = f"at least {need}{later}: bubble {k}, of radius {radius:.3g} m, must be {2.0 * support:g} spacings across"
+    require(e_count >= need, "e_count", e_count, allowed)
 
 
 def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int, float]:

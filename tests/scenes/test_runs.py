@@ -15,6 +15,13 @@ from melp_warp.check import check_cache
 from melp_warp.usd import ATTRIBUTES, list_frames, read_frame
 
 SMALL = {
+    "cluster": ["e_count=2400", "l_per_e=1"],
+    "double_bubble": ["e_count=240", "l_per_e=4"],
+    "foam_mountain": ["e_count=1000", "l_per_e=1", "bubbles=5"],
+    "four_bubbles": ["e_count=480", "l_per_e=2", "merge_time=0.03"],
+    "quadruple_bubble": ["e_count=480", "l_per_e=2"],
+    "size_ratio": ["e_count=480", "l_per_e=2"],
+    "triple_bubble": ["e_count=360", "l_per_e=2"],
     "drainage": ["e_count=300", "l_per_e=4"],
     "equilibrium": ["e_count=300", "l_per_e=4"],
     "giant_bubble": ["e_count=400", "l_per_e=4"],
@@ -49,8 +56,11 @@ def test_every_scene_runs_to_a_sound_cache(name, tmp_path):
     assert log[-1]["mass"] == pytest.approx(log[0]["mass"], rel=1e-5)
     assert log[-1]["max_speed"] > 0.0
     first, last = read_frame(out, 0), read_frame(out, 3)
-    np.testing.assert_array_equal(first.ids, last.ids)
-    assert np.abs(last.points - first.points).max() > 0.0 or np.abs(last.thickness - first.thickness).max() > 0.0
+    kept = np.searchsorted(first.ids, last.ids)  # particles are lost only with a film that breaks
+    np.testing.assert_array_equal(first.ids[kept], last.ids)
+    assert len(last.ids) == len(first.ids) or name == "four_bubbles"
+    moved = np.abs(last.points - first.points[kept]).max()
+    assert moved > 0.0 or np.abs(last.thickness - first.thickness[kept]).max() > 0.0
 
 
 def test_same_seed_same_result_bit_for_bit(tmp_path):

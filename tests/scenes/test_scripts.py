@@ -5,15 +5,27 @@ import dataclasses
 import numpy as np
 import pytest
 
+from melp_warp.cluster import Cluster, Merge, Pop, e_spacing
 from melp_warp.errors import InputError
 from melp_warp.parameters import KEYS
 from melp_warp.registry import load_scene, scene_names
 from melp_warp.scene import Scene
 from melp_warp.shapes import StarShaped, fibonacci_sphere
 
-SCENES = ("drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices")
+FOAMS = (
+    *("cluster", "double_bubble", "foam_mountain", "four_bubbles"),
+    *("quadruple_bubble", "size_ratio", "triple_bubble"),
+)
+SCENES = (*FOAMS, "drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices")
 COMMON = "thickness tension surfactant density gravity pressure air viscosity drag e_count l_per_e seed".split()
 OWN = {
+    "cluster": ["radius_low", "radius_high", "offset", "gap", "approach_speed", "merge_time"],
+    "double_bubble": ["radius_1", "radius_2", "thickness_1", "thickness_2", "gap", "approach_speed", "exchange"],
+    "foam_mountain": ["bubbles", "radius_low", "radius_high", "container", "tap_height", "interval", "speed"],
+    "four_bubbles": ["radius", "gap", "approach_speed", "tension_spread", "merge_time", "pop_time"],
+    "quadruple_bubble": ["radius", "gap", "approach_speed"],
+    "size_ratio": ["radius_1", "ratio", "gap", "approach_speed"],
+    "triple_bubble": ["radius", "gap", "approach_speed"],
     "drainage": ["width", "height", "tilt", "noise"],
     "equilibrium": ["radius", "noise"],
     "giant_bubble": ["radius", "noise"],
@@ -43,6 +55,8 @@ def all_fields(scene):
     """What a scene comes to, in numbers: its settings, and its shape and initial fields at fixed points."""
     points = scene.shape.sample(400).points
     found = {f.name: getattr(scene, f.name) for f in dataclasses.fields(scene) if f.name != "shape"}
+    if isinstance(scene.shape, Cluster):
+        found["cluster"] = scene.shape
     for name in ("thickness", "concentration", "velocity"):
         found[name] = None if found[name] is None else found[name](points).tobytes()
     return {**found, "points": points.tobytes()}
@@ -58,7 +72,9 @@ def test_describes_itself_and_has_its_keys(name):
     assert script.name == name
     assert 20 < len(script.description) < 100
     assert set(COMMON + OWN[name]) <= set(script.parameters.defaults)
-    assert all(script.parameters.keys[key] is KEYS[key] for key in script.parameters)
+    shared = [key for key in script.parameters if key in KEYS]
+    assert all(script.parameters.keys[key] is KEYS[key] for key in shared)
+    assert set(script.parameters) <= {*KEYS, *OWN[name], "tap_spacing"}
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -92,14 +108,100 @@ def test_every_key_can_be_set_and_changes_the_scene(name):
         changed = other(script.parameters.keys[key], base.get(key, value))
         text = "auto" if changed is None else str(changed)
         values = script.parameters.values(base | script.parameters.parse([f"{key}={text}"]))
-        if name == "oscillating_bubble" and key == "seed":
-            continue  # nothing in the scene is random; the seed reaches the solver
         assert all_fields(script.build(values)) != plain, key
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_seed_repeats(name):
     assert all_fields(build(name, seed=3)) == all_fields(build(name, seed=3))
+
+
+def gaps(cluster, spacing):
+    """Gap of each pair of bubbles that are there from the start, in spacings, and how fast it closes, m/s."""
+    bubbles = [cluster.bubbles[k] for k in cluster.initial]
+    first, second = np.triu_indices(len(bubbles), 1)
+    centre, velocity = (np.array([getattr(b, name) for b in bubbles]) for name in ("centre", "velocity"))
+    radius = np.array([b.radius for b in bubbles])
+    apart = centre[second] - centre[first]
+    distance = np.linalg.norm(apart, axis=1)
+    closing = -np.einsum("ij,ij->i", velocity[second] - velocity[first], apart) / distance
+    return (distance - radius[first] - radius[second]) / spacing, closing
+
+
+@pytest.mark.parametrize(
+    ("name", "pairs"),
+    [("double_bubble", 1), ("size_ratio", 1), ("triple_bubble", 3), ("quadruple_bubble", 6), ("four_bubbles", 4)],
+)
+def test_bubbles_start_a_gap_apart_and_approach(name, pairs):
+    scene = build(name, gap=1.5)
+    gap, closing = gaps(scene.shape, e_spacing([b.radius for b in scene.shape.bubbles], scene.e_count))
+    near = gap < 1.6
+    assert near.sum() == pairs
+    np.testing.assert_allclose(gap[near], 1.5, rtol=1e-6)
+    assert closing.min() > 0.05
+
+
+def test_double_bubble_has_thick_over_thin():
+    above, below = build("double_bubble").shape.bubbles
+    assert above.centre[1] > 0.0 > below.centre[1]
+    assert (above.thickness, below.thickness) == (500e-9, 250e-9)
+
+
+@pytest.mark.parametrize("ratio", [0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
+def test_size_ratio(ratio):
+    first, second = build("size_ratio", ratio=ratio).shape.bubbles
+    assert (first.radius, second.radius) == (0.05, pytest.approx(ratio * 0.05))
+
+
+def test_four_bubbles_merge_on_the_right_and_pop():
+    cluster = build("four_bubbles", merge_time=0.5, pop_time=0.7).shape
+    assert cluster.events == (Merge(0.5, 1, 2), Pop(0.7, 1))
+    assert all(cluster.bubbles[k].centre[0] > 0.0 for k in (1, 2))
+    tension = [b.tension for b in cluster.bubbles]
+    assert (tension[0], tension[1]) == (tension[2], tension[3]) == (0.99, 1.01)
+    assert build("four_bubbles", merge_time=None, pop_time=None).shape.events == ()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_cluster_is_one_in_twelve(seed):
+    scene = build("cluster", seed=seed, merge_time=0.2)
+    bubbles = scene.shape.bubbles
+    gap, closing = gaps(scene.shape, e_spacing([b.radius for b in bubbles], scene.e_count))
+    assert gap.min() == pytest.approx(0.5, rel=1e-6)
+    assert closing.mean() > 0.1
+    away = np.linalg.norm([b.centre for b in bubbles], axis=1)
+    assert len(away) == 13
+    assert np.argmin(away) == 0
+    for name, low, high in (("radius", 0.0435, 0.06), ("thickness", 400e-9, 600e-9)):
+        values = np.array([getattr(b, name) for b in bubbles])
+        assert low <= values.min() < values.max() <= high
+    assert scene.shape.events == (Merge(0.2, 0, 1),)
+
+
+@pytest.mark.parametrize("bubbles", [1, 5, 15, 300])
+def test_foam_mountain_pours_any_number(bubbles):
+    cluster = build("foam_mountain", bubbles=bubbles).shape
+    assert len(cluster.bubbles) == bubbles
+    assert len(cluster.initial) == min(bubbles, 5)
+    born = [b.born for b in cluster.bubbles]
+    assert born == sorted(born)
+    assert all(0.008 <= b.radius <= 0.012 and b.velocity[1] < 0.0 for b in cluster.bubbles)
+    assert [wall.pops for wall in cluster.walls] == [False, True, True, True, True]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "words"),
+    [
+        ("foam_mountain", {"tap_spacing": 0.01}, ["bubbles 0 and 1", "overlap"]),
+        ("foam_mountain", {"tap_height": 0.005}, ["bubble 0", "wall 0"]),
+        ("foam_mountain", {"container": 0.05}, ["inside wall"]),
+    ],
+)
+def test_foams_that_cannot_start(name, changes, words):
+    with pytest.raises(InputError) as error:
+        build(name, **changes)
+    for word in words:
+        assert word in str(error.value)
 
 
 def test_giant_bubble_is_the_papers():
@@ -191,7 +293,7 @@ def test_a_file_that_is_no_scene(tmp_path, text, words):
     ("name", "words"),
     [
         ("giant_buble", "did you mean giant_bubble"),
-        ("nonsense", "scenes are drainage, equilibrium"),
+        ("nonsense", "scenes are cluster, double_bubble, drainage"),
         ("no/such/file.py", "no such file"),
     ],
 )

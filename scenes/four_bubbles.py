@@ -1,0 +1,48 @@
+"""Four bubbles meet at 90 degrees, rearrange to 120, then two of them become one and one pops.
+
+MELP 2022, Figure 20. Four films that meet along a line are not stable: two opposite bubbles with slightly less tension
+come to touch, and the line parts into two. Later the film between the two bubbles on the right breaks
+(`merge_time`), and what they have become pops (`pop_time`).
+"""
+
+try:
+    from melp_warp.cluster import Bubble, Cluster, Merge, Pop, e_spacing
+    from melp_warp.parameters import FOAM, Values, declare
+    from melp_warp.scene import Scene
+except ModuleNotFoundError as error:
+    raise SystemExit(f"{error}: run `pip install -e .` in the checkout first") from None
+
+PARAMETERS = declare(
+    **FOAM | {"damping": 20.0},
+    radius=0.05,
+    gap=0.5,
+    approach_speed=0.2,
+    tension_spread=0.02,
+    merge_time=1.2,
+    pop_time=1.6,
+    thickness=400e-9,
+    e_count=2800,
+    l_per_e=8,
+    frames=120,
+    fps=60.0,
+)
+
+
+def build(p: Values) -> Scene:
+    """Build the scene: bubbles 0 to 3 are top left, top right, bottom right and bottom left."""
+    half = p.radius + 0.5 * p.gap * e_spacing(4 * [p.radius], p.e_count)
+    speed = p.approach_speed / 2.0**0.5
+    bubbles = []
+    for k, (x, y) in enumerate([(-1, 1), (1, 1), (1, -1), (-1, -1)]):
+        factor = 1.0 + p.tension_spread * (0.5 if k % 2 else -0.5)
+        velocity = (-speed * x, -speed * y, 0.0)
+        bubbles.append(Bubble((half * x, half * y, 0.0), p.radius, velocity, tension=factor))
+    merge = () if p.merge_time is None else (Merge(p.merge_time, 1, 2),)
+    pop = () if p.pop_time is None else (Pop(p.pop_time, 1),)
+    return p.scene("four_bubbles", Cluster(tuple(bubbles), events=merge + pop))
+
+
+if __name__ == "__main__":
+    from melp_warp.cli import run_file
+
+    raise SystemExit(run_file(__file__))

@@ -1,0 +1,40 @@
+"""Three equal bubbles meet: three films of 120 degrees along one line, as Plateau found.
+
+The centres start at the corners of an equilateral triangle and move to its middle; Table 2 of MELP 2022.
+"""
+
+import numpy as np
+
+try:
+    from melp_warp.cluster import Bubble, Cluster, e_spacing
+    from melp_warp.parameters import FOAM, Values, declare
+    from melp_warp.scene import Scene
+except ModuleNotFoundError as error:
+    raise SystemExit(f"{error}: run `pip install -e .` in the checkout first") from None
+
+PARAMETERS = declare(
+    **FOAM | {"damping": 20.0},
+    radius=0.05,
+    gap=1.0,
+    approach_speed=0.2,
+    thickness=400e-9,
+    e_count=2400,
+    l_per_e=16,
+    frames=90,
+    fps=60.0,
+)
+
+
+def build(p: Values) -> Scene:
+    """Build the scene."""
+    angle = np.radians([90.0, 210.0, 330.0])
+    corners = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
+    away = (2.0 * p.radius + p.gap * e_spacing(3 * [p.radius], p.e_count)) / np.sqrt(3.0)
+    bubbles = [Bubble(tuple(away * c), p.radius, tuple(-p.approach_speed * c)) for c in corners]
+    return p.scene("triple_bubble", Cluster(tuple(bubbles)))
+
+
+if __name__ == "__main__":
+    from melp_warp.cli import run_file
+
+    raise SystemExit(run_file(__file__))
