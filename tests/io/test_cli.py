@@ -388,9 +388,10 @@ def test_ctrl_c_before_the_first_frame(tmp_path, monkeypatch, capsys):
 def test_scenes_lists_all(capsys):
     assert cli.main(["scenes"]) == 0
     listed = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in listed] == sorted(
-        ["giant_bubble", "oscillating_bubble", "drainage", "equilibrium", "taylor_vortices"]
-    )
+    films = ["drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices"]
+    foams = ["cluster", "double_bubble", "foam_mountain", "four_bubbles", "quadruple_bubble"]
+    foams += ["size_ratio", "triple_bubble"]
+    assert [line.split()[0] for line in listed] == sorted(films + foams)
 
 
 def test_scenes_name_is_a_table_of_keys(capsys):
@@ -471,7 +472,7 @@ def scripts():
 
 
 def test_scene_files_are_short():
-    assert len(scripts()) == 5
+    assert len(scripts()) == 12
     for path in scripts():
         assert len(path.read_text().splitlines()) < 100, path.name
 
