@@ -17,7 +17,7 @@ from melp_warp.usd import ATTRIBUTES, list_frames, read_frame
 SMALL = {
     "cluster": ["e_count=2400", "l_per_e=1"],
     "double_bubble": ["e_count=240", "l_per_e=4"],
-    "foam_mountain": ["e_count=1000", "l_per_e=1", "bubbles=5"],
+    "foam_mountain": ["e_count=1000", "bubbles=5"],
     "four_bubbles": ["e_count=480", "l_per_e=2", "merge_time=0.03"],
     "quadruple_bubble": ["e_count=480", "l_per_e=2"],
     "size_ratio": ["e_count=480", "l_per_e=2"],
