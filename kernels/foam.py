@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range
+from melp_warp.kernels.regions import part_range, region_total
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -65,6 +65,42 @@ def star_vector_e(
     vector[i] = total / 6.0
 
 
+@wp.func
+def nearest_facing(
+    p: wp.vec3,
+    n: wp.vec3,
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    facing: Neighbors,
+    reach: float,
+) -> int:
+    """The E in row i of `facing` nearest to p within `reach` that faces a film with normal n; -1 for none."""
+    best = int(-1)
+    near = reach * reach
+    for k in range(facing.start[i], facing.stop[i]):
+        j = facing.index[k]
+        s = wp.length_sq(x[j] - p)
+        if s < near and wp.dot(n, normal[j]) < BACK_TO_BACK:
+            near = s
+            best = j
+    return best
+
+
+@wp.func
+def nearest_in_row(p: wp.vec3, i: int, x: wp.array(dtype=wp.vec3), rows: Neighbors) -> int:
+    """The E in row i nearest to p, -1 for none."""
+    best = int(-1)
+    near = float(1.0e30)
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        s = wp.length_sq(x[j] - p)
+        if s < near:
+            near = s
+            best = j
+    return best
+
+
 @wp.kernel
 def find_exposure_e(
     x: wp.array(dtype=wp.vec3),
@@ -85,15 +121,10 @@ def find_exposure_e(
     """
     i = wp.tid()
     c = x[i] + contact.ball * normal[i]
-    near = float(1.0e30)
     depth = float(1.0e30)
-    for k in range(facing.start[i], facing.stop[i]):
-        j = facing.index[k]
-        d = c - x[j]
-        s = wp.length_sq(d)
-        if s < near:
-            near = s
-            depth = wp.dot(d, normal[j])
+    j = nearest_in_row(c, i, x, facing)
+    if j >= 0:
+        depth = wp.dot(c - x[j], normal[j])
     for w in range(contact.point.shape[0]):
         depth = wp.min(depth, wp.dot(c - contact.point[w], contact.inward[w]))
     exposure[i] = wp.clamp(0.5 + (depth - contact.ball) / contact.ramp, 0.0, 1.0)
@@ -168,10 +199,7 @@ def predict_gas_r(
         ahead: [regions] gauge pressure p - (p/V) dV, Pa.
     """
     g = wp.tid()
-    per = part.shape[0] // gas.shape[0]
-    swept = wp.float64(0.0)
-    for c in range(g * per, (g + 1) * per):
-        swept += part[c]
+    swept = region_total(part, g, gas.shape[0])
     slope = (p_atm + gas[g, GAUGE]) / gas[g, VOLUME]
     stiff[g] = float(slope)
     ahead[g] = float(gas[g, GAUGE] - slope * dt * swept)
@@ -187,10 +215,7 @@ def store_gas_r(
 ):
     """Pressure at the end of the step, from the volume that its velocity sweeps."""
     g = wp.tid()
-    per = part.shape[0] // gas.shape[0]
-    swept = wp.float64(0.0)
-    for c in range(g * per, (g + 1) * per):
-        swept += part[c]
+    swept = region_total(part, g, gas.shape[0])
     q = -(p_atm + gas[g, GAUGE]) / gas[g, VOLUME] * dt * swept
     gas[g, INCREMENT] = q
     gas[g, GAUGE] = gas[g, GAUGE] + q
@@ -432,42 +457,6 @@ def apply_foam_e(
     u_mid[i] = wp.dot(u[i], n)
 
 
-@wp.func
-def nearest_facing(
-    p: wp.vec3,
-    n: wp.vec3,
-    i: int,
-    x: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    facing: Neighbors,
-    reach: float,
-) -> int:
-    """The E in row i of `facing` nearest to p within `reach` that faces a film with normal n; -1 for none."""
-    best = int(-1)
-    near = reach * reach
-    for k in range(facing.start[i], facing.stop[i]):
-        j = facing.index[k]
-        s = wp.length_sq(x[j] - p)
-        if s < near and wp.dot(n, normal[j]) < BACK_TO_BACK:
-            near = s
-            best = j
-    return best
-
-
-@wp.func
-def nearest_in_row(p: wp.vec3, i: int, x: wp.array(dtype=wp.vec3), rows: Neighbors) -> int:
-    """The E in row i nearest to p, -1 for none."""
-    best = int(-1)
-    near = float(1.0e30)
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        s = wp.length_sq(x[j] - p)
-        if s < near:
-            near = s
-            best = j
-    return best
-
-
 @wp.kernel
 def find_partner_e(
     x: wp.array(dtype=wp.vec3),
@@ -524,10 +513,11 @@ def exchange_l(
     x_l: wp.array(dtype=wp.vec3),
     v_l: wp.array(dtype=wp.vec3),
     rows: Neighbors,
-    partner: wp.array(dtype=wp.int32),
     number: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
+    facing: Neighbors,
+    reach: float,
     gamma: wp.array(dtype=float),
     region: wp.array(dtype=wp.int32),
     seed: int,
@@ -542,22 +532,25 @@ def exchange_l(
         x_l: [n_l] m.
         v_l: [n_l] m/s.
         rows: L:E neighbours of the same region.
-        partner: [n_l] from `find_partner_l`.
         number: [n_l] number of each L.
         x: [n] m.
         normal: [n] unit normals.
+        facing: E of other regions near each E.
+        reach: distance within which a film is shared, m.
         gamma: [n_e] relative surfactant concentration.
         region: [n] region of each E.
         seed: differs from call to call.
-        chance: psi_1 = psi_2, the largest probability.
+        chance: psi_1 = psi_2, the largest value of each of the two.
         dt: step that (27) looks ahead, s.
         region_l: [n_l] region of each L.
     """
     i = wp.tid()
-    j = partner[i]
+    p = x_l[i]
+    own = nearest_in_row(p, i, x, rows)
+    j = int(-1)
+    if own >= 0:
+        j = nearest_facing(p, normal[own], own, x, normal, facing, reach)
     if j >= 0:
-        p = x_l[i]
-        own = nearest_in_row(p, i, x, rows)
         gap = wp.abs(wp.dot(p - x[j], normal[j]))
         ahead = wp.abs(wp.dot(p + dt * v_l[i] - x[j], normal[j]))
         toward = 1.0 - wp.min(1.0, ahead / wp.max(gap, 1.0e-12))

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from melp_warp.kernels.regions import part_range
+from melp_warp.kernels.regions import part_range, part_region, region_total
 
 wp.set_module_options({"enable_backward": False})
 
@@ -110,7 +110,7 @@ def volume_chunks(
     c = wp.tid()
     start, stop = part_range(c, first, part.shape[0])
     total = wp.vec2d()
-    o = x[first[c // (part.shape[0] // (first.shape[0] - 1))]]
+    o = x[first[part_region(c, first, part.shape[0])]]
     for i in range(start, stop):
         triple = wp.float64(wp.dot(x[i] - o, flux[i])) + wp.float64(bulge[i])
         total += wp.vec2d(triple / wp.float64(3.0), wp.float64(cell[i]))
@@ -121,10 +121,7 @@ def volume_chunks(
 def store_volume_r(part: wp.array(dtype=wp.vec2d), gas: wp.array2d(dtype=wp.float64)):
     """Put each region's measured volume and area into its gas slots."""
     g = wp.tid()
-    per = part.shape[0] // gas.shape[0]
-    total = wp.vec2d()
-    for c in range(g * per, (g + 1) * per):
-        total += part[c]
+    total = region_total(part, g, gas.shape[0])
     gas[g, VOLUME] = total[0]
     gas[g, AREA] = total[1]
 

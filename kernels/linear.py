@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range
+from melp_warp.kernels.regions import part_range, region_total
 
 wp.set_module_options({"enable_backward": False})
 
@@ -448,11 +448,7 @@ def region_dot_chunks(
 def weigh_gas_r(partial: wp.array(dtype=float), stiff: wp.array(dtype=float), weight: wp.array(dtype=float)):
     """weight = stiff times each region's sum. [regions]."""
     g = wp.tid()
-    per = partial.shape[0] // stiff.shape[0]
-    total = float(0.0)
-    for c in range(g * per, (g + 1) * per):
-        total += partial[c]
-    weight[g] = stiff[g] * total
+    weight[g] = stiff[g] * region_total(partial, g, stiff.shape[0])
 
 
 @wp.kernel
@@ -479,8 +475,4 @@ def scale_sweep_e(sweep: wp.array(dtype=float), inverse: wp.array(dtype=float), 
 def soften_gas_r(partial: wp.array(dtype=float), stiff: wp.array(dtype=float), soft: wp.array(dtype=float)):
     """-k/(1 + k s^T D^-1 s) of the Sherman-Morrison inverse of D + k s s^T. [regions]."""
     g = wp.tid()
-    per = partial.shape[0] // stiff.shape[0]
-    total = float(0.0)
-    for c in range(g * per, (g + 1) * per):
-        total += partial[c]
-    soft[g] = -stiff[g] / (1.0 + stiff[g] * total)
+    soft[g] = -stiff[g] / (1.0 + stiff[g] * region_total(partial, g, stiff.shape[0]))

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from melp_warp.kernels.regions import part_range
+from melp_warp.kernels.regions import part_range, part_region, region_total
 from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -50,7 +50,7 @@ def momentum_chunks(
     """Parts of sum (m + added a) n n and the momentum sum (m + added a) u_n n, the air's share `added` by region."""
     c = wp.tid()
     start, stop = part_range(c, first, net.shape[0])
-    air = added[c // (net.shape[0] // added.shape[0])]
+    air = added[part_region(c, first, net.shape[0])]
     s0 = wp.mat33()
     s1 = wp.vec3()
     for i in range(start, stop):
@@ -66,13 +66,8 @@ def momentum_chunks(
 def solve_motion_r(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3)):
     """Velocity U of each region as a whole, (sum (m + added a) n n) U = sum (m + added a) u_n n. [regions], m/s."""
     g = wp.tid()
-    per = net.shape[0] // motion.shape[0]
-    s0 = wp.mat33()
-    s1 = wp.vec3()
-    for c in range(g * per, (g + 1) * per):
-        s0 += inertia[c]
-        s1 += net[c]
-    motion[g] = wp.inverse(s0) * s1
+    regions = motion.shape[0]
+    motion[g] = wp.inverse(region_total(inertia, g, regions)) * region_total(net, g, regions)
 
 
 @wp.kernel

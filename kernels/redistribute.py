@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.mls import Quadric, gradient_at
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range
+from melp_warp.kernels.regions import part_range, region_parts
 from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -28,12 +28,12 @@ def spread_chunks(density: wp.array(dtype=float), first: wp.array(dtype=wp.int32
 def summarize_spread_r(part: wp.array(dtype=wp.vec4), threshold: float, spread: wp.array(dtype=wp.vec3)):
     """For each region ((delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold)."""
     g = wp.tid()
-    per = part.shape[0] // spread.shape[0]
+    start, stop = region_parts(g, part.shape[0], spread.shape[0])
     low = float(1.0e30)
     high = float(0.0)
     s1 = float(0.0)
     s2 = float(0.0)
-    for c in range(g * per, (g + 1) * per):
+    for c in range(start, stop):
         p = part[c]
         low = wp.min(low, p[0])
         high = wp.max(high, p[1])

@@ -42,15 +42,16 @@ class Features:
         lagrangian = scene.l_per_e > 0
         moving = not scene.shape.flat
         marangoni = lagrangian and scene.material.surfactant > 0.0
+        foam = isinstance(scene.shape, Cluster)
         return cls(
             closed=scene.shape.closed,
             moving=moving,
             lagrangian=lagrangian,
             rim=not scene.shape.closed,
             marangoni=marangoni,
-            recoils=marangoni and scene.shape.closed and not isinstance(scene.shape, Cluster),
+            recoils=marangoni and scene.shape.closed and not foam,
             viscous=lagrangian and scene.material.viscosity > 0.0,
-            exchanges=lagrangian and isinstance(scene.shape, Cluster) and scene.numerics.exchange > 0.0,
-            foam=isinstance(scene.shape, Cluster),
+            exchanges=lagrangian and foam and scene.numerics.exchange > 0.0,
+            foam=foam,
             air=moving and scene.surroundings.air == "added_mass",
         )

@@ -22,7 +22,7 @@ from melp_warp.kernels.cells import CORNERS
 from melp_warp.launch import Shared
 from melp_warp.linear import GasConjugateGradient, LinearOperator
 from melp_warp.membrane import close_volume
-from melp_warp.neighbors import NeighborLists, fixed_rows
+from melp_warp.neighbors import NeighborLists, check_room, fixed_rows
 from melp_warp.state import State
 from melp_warp.surfactant import Fields
 
@@ -39,9 +39,9 @@ SMOOTHINGS = 2
 """Passes that smooth the exposure."""
 
 
-def make_contact(film: Film, walls) -> kf.Contact:
+def make_contact(film: Film) -> kf.Contact:
     """The constants of `kernels.foam.Contact` for a film's spacing and tension."""
-    n, dx = film.numerics, film.spacing
+    n, dx, walls = film.numerics, film.spacing, film.walls
     contact = kf.Contact()
     for name, values in (("point", [w.point for w in walls]), ("inward", [w.normal for w in walls])):
         array = np.array(values, dtype=np.float32).reshape(-1, 3)
@@ -52,30 +52,14 @@ def make_contact(film: Film, walls) -> kf.Contact:
     return contact
 
 
-def find_partner_l(film: Film, state: State, lists: NeighborLists, partner: wp.array | None = None) -> wp.array:
-    """The E that faces each L across a partition, -1 for none. [n_l]."""
-    partner = film.zeros(film.n_l, wp.int32) if partner is None else partner
-    e = state.e
-    film.launch_l(
-        kf.find_partner_l,
-        [
-            *(state.l.x, lists.le.rows, Shared(e.x), Shared(e.normal), Shared(lists.eo.rows)),
-            PARTNER_REACH * film.spacing,
-        ],
-        [partner],
-    )
-    return partner
-
-
 class Exchange:
     """L that cross between films that touch (section 5.5). Made only where a scene asks for it.
 
-    They cross when the lists between E and L are rebuilt, at the latest when `INTERVAL` has passed.
+    They cross before the first step that ends `EXCHANGE_INTERVAL` or more after the last exchange.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, fields: Fields):
         self.film, self.state, self.lists, self.fields = film, state, lists, fields
-        self._partner = film.zeros(film.n_l, wp.int32)
         self._number = wp.array(np.arange(film.n_l, dtype=np.int32), device=film.device)
         self._last = state.time
 
@@ -86,14 +70,14 @@ class Exchange:
     def apply(self, dt: float) -> None:
         """Let L cross; lists between E and L are to be rebuilt afterwards."""
         film, e, lag = self.film, self.state.e, self.state.l
-        find_partner_l(film, self.state, self.lists, self._partner)
         chance = -math.expm1(-film.numerics.exchange * (self.state.time + dt - self._last))
         self._last = self.state.time + dt
         film.launch_l(
             kf.exchange_l,
             [
-                *(lag.x, lag.v, self.lists.le.rows, self._partner, self._number),
-                *map(Shared, (e.x, e.normal, self.fields.gamma, e.region)),
+                *(lag.x, lag.v, self.lists.le.rows, self._number),
+                *map(Shared, (e.x, e.normal, self.lists.eo.rows)),
+                *(PARTNER_REACH * film.spacing, Shared(self.fields.gamma), Shared(e.region)),
                 *(film.seed + round(240.0 * self._last), chance, dt),
             ],
             [lag.region],
@@ -106,8 +90,9 @@ class FoamMembrane:
     Attributes:
         exposure: [n_e] 1 where the atmosphere's interface lies on the film, 0 in borders and partitions.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
-        start: [regions] velocity of each region as a whole in the step, m/s.
-        frame: the same array.
+        start: [regions] velocity of each region as a whole in the step, m/s: that of `State.motion`.
+        frame: the same.
+        wanted: [n_e] length that each row of the matrix needs.
         added: [regions] mass of the air that moves along, kg/m^2.
     """
 
@@ -119,11 +104,11 @@ class FoamMembrane:
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.fields, self.forces = fields, forces
         n = film.n_e
-        self.contact = make_contact(film, film.walls)
+        self.contact = make_contact(film)
         self.exposure, self._rough = film.zeros(n), film.zeros(n)
         self.predicted = film.zeros(n, wp.vec3)
         self.force, self.u_mid = film.zeros(n), film.zeros(n)
-        self.start = self.frame = film.zeros(film.regions, wp.vec3)
+        self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.added = film.zeros(film.regions)
         self._stride = CORNERS + CONTACT_ROOM
@@ -160,22 +145,30 @@ class FoamMembrane:
 
     def nearest_regions(self) -> np.ndarray:
         """Other region nearest to each E, -1 for none within reach (reads back: between steps)."""
-        film, e = self.film, self.state.e
+        film = self.film
         nearest = film.zeros(film.n_e, wp.int32)
-        film.launch_e(kf.find_nearest_e, [e.x, self.lists.eo.rows], [nearest])
-        found = nearest.numpy()
-        return np.where(found >= 0, e.region.numpy()[np.maximum(found, 0)], -1)
+        film.launch_e(kf.find_nearest_e, [self.state.e.x, self.lists.eo.rows], [nearest])
+        return self._regions_of(nearest)
 
     def find_partners(self, kind: str) -> np.ndarray:
         """Region that the film of each E ("e") or L ("l") is shared with, -1 for none (reads back: between steps)."""
-        film, e, reach = self.film, self.state.e, PARTNER_REACH * self.film.spacing
+        film, e, lists, reach = self.film, self.state.e, self.lists, PARTNER_REACH * self.film.spacing
+        partner = film.zeros(film.n_e if kind == "e" else film.n_l, wp.int32)
         if kind == "e":
-            partner = film.zeros(film.n_e, wp.int32)
-            film.launch_e(kf.find_partner_e, [e.x, e.normal, self.lists.eo.rows, reach], [partner])
+            film.launch_e(kf.find_partner_e, [e.x, e.normal, lists.eo.rows, reach], [partner])
         else:
-            partner = find_partner_l(film, self.state, self.lists)
-        found = partner.numpy()
-        return np.where(found >= 0, e.region.numpy()[np.maximum(found, 0)], -1)
+            across = [*map(Shared, (e.x, e.normal, lists.eo.rows)), reach]
+            film.launch_l(kf.find_partner_l, [self.state.l.x, lists.le.rows, *across], [partner])
+        return self._regions_of(partner)
+
+    def _regions_of(self, found: wp.array) -> np.ndarray:
+        """Regions of the E numbered `found`, -1 where that is -1."""
+        index = found.numpy()
+        return np.where(index >= 0, self.state.e.region.numpy()[np.maximum(index, 0)], -1)
+
+    def check(self) -> None:
+        """Raise if an E pressed on more than there is room for (reads back)."""
+        check_room(self.wanted, self._stride, "contact")
 
     def solve(self, dt: float) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
@@ -205,7 +198,6 @@ class FoamMembrane:
             [self._inertia, self._momentum],
         )
         film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self.state.motion])
-        wp.copy(self.frame, self.state.motion)
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e

@@ -22,7 +22,7 @@ _pool = ThreadPoolExecutor(THREADS)
 class Shared:
     """An argument of `launch_rows` that every thread sees whole, whatever its length."""
 
-    def __init__(self, array: wp.array | Neighbors):
+    def __init__(self, array: wp.array | Neighbors | None):
         self.array = array
 
 

@@ -40,6 +40,15 @@ def _rows(n: int, entries: int, device) -> kn.Neighbors:
     return rows
 
 
+def check_room(wanted: wp.array, stride: int, name: str) -> None:
+    """Raise if a row of list `name` ever wanted more entries than there is room for (reads back)."""
+    most = int(wanted.numpy().max(initial=0))
+    if most > stride:
+        raise SimulationError(
+            f"stage neighbors: a row of list {name} has {most} entries, room for {stride}: particles clump"
+        )
+
+
 class NeighborList:
     """For each of `n` points the source points within a radius, in rows of a fixed room.
 
@@ -73,15 +82,14 @@ class NeighborList:
     def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
         of_x, of_source = self.regions
-        other_set = self.pick == int(kn.ALL)
-        inputs = [grid.id, x, source, self.radius, of_x, of_source, self.pick, self.stride]
-        if other_set:
-            inputs[2], inputs[5] = Shared(source), of_source and Shared(of_source)
-        spread = launch_rows if other_set else launch
+        if self.pick == kn.ALL:
+            spread, source, of_source = launch_rows, Shared(source), Shared(of_source)
+        else:
+            spread = launch
         spread(
             kn.fill_neighbors,
             self.n,
-            inputs,
+            [grid.id, x, source, self.radius, of_x, of_source, self.pick, self.stride],
             [self.rows, self.wanted],
             self.device,
         )
@@ -93,11 +101,7 @@ class NeighborList:
 
     def check(self, name: str) -> None:
         """Raise if a row ever wanted more entries than there is room for (reads back)."""
-        wanted = int(self.wanted.numpy().max(initial=0))
-        if wanted > self.stride:
-            raise SimulationError(
-                f"stage neighbors: a row of list {name} has {wanted} entries, room for {self.stride}: particles clump"
-            )
+        check_room(self.wanted, self.stride, name)
 
 
 class TransposedList:
@@ -142,17 +146,17 @@ class NeighborLists:
         of_e = state.e.region
         several = film.features.foam
         of_both, room = ((of_e, of_e), CROWD_ROOM) if several else (None, 8)
-        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, int(kn.SAME), of_both, room)
+        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, kn.SAME, of_both, room)
         self.le = self.el = self.be = self.eo = None
         if several:
-            self.eo_reach = film.contact_reach + self.skin
-            self.eo = NeighborList(self._grid, x, film.n_e, x, self.eo_reach, int(kn.OTHER), of_both, FACING_ROOM)
+            reach = film.contact_reach + self.skin
+            self.eo = NeighborList(self._grid, x, film.n_e, x, reach, kn.OTHER, of_both, FACING_ROOM)
         if state.l is not None:
             regions = (state.l.region, of_e) if several else None
-            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, int(kn.ALL), regions)
+            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, kn.ALL, regions)
             self.el = TransposedList(film.n_e, self.le)
         if film.features.rim:
-            self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, self.mirror_reach + self.skin, int(kn.ALL))
+            self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, self.mirror_reach + self.skin, kn.ALL)
         self.travel = film.zeros(4)
         self._part = film.parts()
         self.builds = [1, 1]

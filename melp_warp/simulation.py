@@ -173,7 +173,7 @@ class Simulation:
         source = self.state.l if which == "l" else self.state.e
         region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
         ids = self._ids[which]
-        order = np.argsort(ids, kind="stable")
+        order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
         return ParticleFrame(
             points=x.astype(np.float32)[order],
             velocities=v.astype(np.float32)[order],

@@ -150,3 +150,5 @@ class Stepper:
             if not np.all(volume > 0.0):
                 raise SimulationError(f"stage membrane: the enclosed volume is {volume[k]:.3g} m^3, region {k}")
         self.lists.check()
+        if self.film.features.foam:
+            self.membrane.check()
