@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -51,9 +51,30 @@ class Bubble:
         require(np.isfinite(self.born) and self.born >= 0.0, "born", self.born, "a time of at least 0, s")
 
 
+def approaching(
+    corners: np.ndarray, radius: float, gap: float, speed: float, tension: Sequence[float] | None = None
+) -> tuple[Bubble, ...]:
+    """Equal bubbles on their way to the origin.
+
+    Args:
+        corners: [n, 3] unit vectors to where they are.
+        radius: m.
+        gap: distance between the surfaces of the nearest two, m.
+        speed: towards the origin, m/s.
+        tension: [n] factors on the scene's tension; 1 each for None.
+    """
+    corners = np.asarray(corners, dtype=np.float64)
+    first, second = np.triu_indices(len(corners), 1)
+    away = (2.0 * radius + gap) / np.linalg.norm(corners[first] - corners[second], axis=1).min()
+    factors = np.ones(len(corners)) if tension is None else tension
+    return tuple(
+        Bubble(tuple(away * c), radius, tuple(-speed * c), tension=f) for c, f in zip(corners, factors, strict=True)
+    )
+
+
 @dataclass(frozen=True)
 class Wall:
-    """A plane that bubbles cannot cross. They cling to a wetted one and stand on it at 90 degrees.
+    """A plane that bubbles cannot cross. It is wetted: they cling to it.
 
     Attributes:
         point: a point of the plane, m.

@@ -5,8 +5,10 @@ come to touch, and the line parts into two. Later the film between the two bubbl
 (`merge_time`), and what they have become pops (`pop_time`).
 """
 
+import numpy as np
+
 try:
-    from melp_warp.cluster import Bubble, Cluster, Merge, Pop, e_spacing
+    from melp_warp.cluster import Cluster, Merge, Pop, approaching, e_spacing
     from melp_warp.parameters import FOAM, Values, declare
     from melp_warp.scene import Scene
 except ModuleNotFoundError as error:
@@ -30,16 +32,13 @@ PARAMETERS = declare(
 
 def build(p: Values) -> Scene:
     """Build the scene: bubbles 0 to 3 are top left, top right, bottom right and bottom left."""
-    half = p.radius + 0.5 * p.gap * e_spacing(4 * [p.radius], p.e_count)
-    speed = p.approach_speed / 2.0**0.5
-    bubbles = []
-    for k, (x, y) in enumerate([(-1, 1), (1, 1), (1, -1), (-1, -1)]):
-        factor = 1.0 + p.tension_spread * (0.5 if k % 2 else -0.5)
-        velocity = (-speed * x, -speed * y, 0.0)
-        bubbles.append(Bubble((half * x, half * y, 0.0), p.radius, velocity, tension=factor))
+    corners = np.array([(-1.0, 1.0, 0.0), (1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, -1.0, 0.0)]) / np.sqrt(2.0)
+    factors = 1.0 + p.tension_spread * np.array([-0.5, 0.5, -0.5, 0.5])
+    gap = p.gap * e_spacing(4 * [p.radius], p.e_count)
+    bubbles = approaching(corners, p.radius, gap, p.approach_speed, factors)
     merge = () if p.merge_time is None else (Merge(p.merge_time, 1, 2),)
     pop = () if p.pop_time is None else (Pop(p.pop_time, 1),)
-    return p.scene("four_bubbles", Cluster(tuple(bubbles), events=merge + pop))
+    return p.scene("four_bubbles", Cluster(bubbles, events=merge + pop))
 
 
 if __name__ == "__main__":

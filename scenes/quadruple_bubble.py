@@ -6,7 +6,7 @@ The centres start at the corners of a regular tetrahedron and move to its middle
 import numpy as np
 
 try:
-    from melp_warp.cluster import Bubble, Cluster, e_spacing
+    from melp_warp.cluster import Cluster, approaching, e_spacing
     from melp_warp.parameters import FOAM, Values, declare
     from melp_warp.scene import Scene
 except ModuleNotFoundError as error:
@@ -30,9 +30,8 @@ def build(p: Values) -> Scene:
     angle = np.radians([90.0, 210.0, 330.0])
     ring = np.column_stack([np.sqrt(8.0) * np.sin(angle), np.full(3, -1.0), np.sqrt(8.0) * np.cos(angle)]) / 3.0
     corners = np.vstack([[0.0, 1.0, 0.0], ring])
-    away = (2.0 * p.radius + p.gap * e_spacing(4 * [p.radius], p.e_count)) * np.sqrt(3.0 / 8.0)
-    bubbles = [Bubble(tuple(away * c), p.radius, tuple(-p.approach_speed * c)) for c in corners]
-    return p.scene("quadruple_bubble", Cluster(tuple(bubbles)))
+    gap = p.gap * e_spacing(4 * [p.radius], p.e_count)
+    return p.scene("quadruple_bubble", Cluster(approaching(corners, p.radius, gap, p.approach_speed)))
 
 
 if __name__ == "__main__":

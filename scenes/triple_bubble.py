@@ -6,7 +6,7 @@ The centres start at the corners of an equilateral triangle and move to its midd
 import numpy as np
 
 try:
-    from melp_warp.cluster import Bubble, Cluster, e_spacing
+    from melp_warp.cluster import Cluster, approaching, e_spacing
     from melp_warp.parameters import FOAM, Values, declare
     from melp_warp.scene import Scene
 except ModuleNotFoundError as error:
@@ -29,9 +29,8 @@ def build(p: Values) -> Scene:
     """Build the scene."""
     angle = np.radians([90.0, 210.0, 330.0])
     corners = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
-    away = (2.0 * p.radius + p.gap * e_spacing(3 * [p.radius], p.e_count)) / np.sqrt(3.0)
-    bubbles = [Bubble(tuple(away * c), p.radius, tuple(-p.approach_speed * c)) for c in corners]
-    return p.scene("triple_bubble", Cluster(tuple(bubbles)))
+    gap = p.gap * e_spacing(3 * [p.radius], p.e_count)
+    return p.scene("triple_bubble", Cluster(approaching(corners, p.radius, gap, p.approach_speed)))
 
 
 if __name__ == "__main__":
