@@ -61,17 +61,35 @@ def summarize_chunks(
 def energy_chunks(
     area: wp.array(dtype=float),
     gamma: wp.array(dtype=float),
-    tension: float,
+    region: wp.array(dtype=wp.int32),
+    tension: wp.array(dtype=float),
     slope: float,
+    exposure: wp.array(dtype=float),
     n: int,
     part: wp.array(dtype=wp.float64),
 ):
-    """Parts of the surface energy 2 sigma a. J."""
+    """Parts of the surface energy sigma (1 + e) a, J: both sides of a film, one where a region beyond has the other.
+
+    The atmosphere's own arcs over borders have no particles and are left out, about sigma r a length.
+
+    Args:
+        area: [n_e] m^2.
+        gamma: [n_e] relative surfactant concentration.
+        region: [n] region of each E.
+        tension: [regions] sigma_0, N/m.
+        slope: R T Gamma_0, N/m.
+        exposure: [n_e] e; null for a film without regions beyond it, e = 1.
+        n: number of E.
+        part: parts.
+    """
     c = wp.tid()
     size = (n + part.shape[0] - 1) // part.shape[0]
     total = wp.float64(0.0)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
-        total += wp.float64(2.0 * (tension - slope * gamma[i]) * area[i])
+        sides = float(2.0)
+        if exposure:
+            sides = 1.0 + exposure[i]
+        total += wp.float64(sides * (tension[region[i]] - slope * gamma[i]) * area[i])
     part[c] = total
 
 

@@ -246,9 +246,10 @@ class Simulation:
 
     def _surface_energy(self) -> float:
         film, s = self.film, self.stepper
+        exposure = s.membrane.exposure if film.features.foam else None
         film.launch_parts(
             kd.energy_chunks,
-            [s.geometry.area, s.fields.gamma, film.material.tension, film.slope, film.n_e],
+            [s.geometry.area, s.fields.gamma, self.state.e.region, film.tension, film.slope, exposure, film.n_e],
             [self._energy],
         )
         return float(self._energy.numpy().sum())
