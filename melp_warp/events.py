@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from melp_warp.cluster import Cluster, Event, Pop
+from melp_warp.sampling import liquid
 from melp_warp.surgery import Stored, add_region, merge_regions, pop_region
 
 if TYPE_CHECKING:
@@ -117,19 +118,20 @@ class Events:
 
     def _new_bubble(self, label: int, simulation: Simulation) -> tuple[dict, float]:
         scene, film, bubble = simulation.scene, simulation.film, self.cluster.bubbles[label]
-        eta = scene.material.thickness if bubble.thickness is None else bubble.thickness
+        thickness = np.nan if bubble.thickness is None else bubble.thickness
         particles = {}
         for kind, count, offset in (("e", 1, 0.0), ("l", scene.l_per_e, 0.5)):
             if count:
                 s = self.cluster.sample_bubble(label, film.spacing**2 / count, offset)
+                eta, mass, amount = liquid(scene, s.points, s.area, np.full(len(s.points), thickness))
                 velocity = np.broadcast_to(np.array(bubble.velocity), s.points.shape)
                 particles[kind] = {
                     "x": s.points,
                     "normal": s.normals,
                     "u": velocity,
                     "v": velocity,
-                    "mass": scene.material.density * eta * s.area,
-                    "surfactant": scene.material.surfactant * s.area,
+                    "mass": mass,
+                    "surfactant": amount,
                     "eta": eta,
                 }
         sigma = bubble.tension * scene.material.tension - scene.material.rt * scene.material.surfactant

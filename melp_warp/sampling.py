@@ -233,32 +233,50 @@ def _relax(scene: Scene, stepper: Stepper) -> None:
 
 def _set_masses(scene: Scene, stepper: Stepper) -> None:
     """Give every particle its area's share of liquid and surfactant."""
-    film, state, m = stepper.film, stepper.state, scene.material
-
-    def masses(points, area, region):
-        eta = _field(scene.thickness, points, m.thickness, "thickness")
-        for k, bubble in _bubbles(scene):
-            if bubble.thickness is not None:
-                eta[region == k] = bubble.thickness
-        eta = _positive(eta, points, "thickness")
-        gamma = _field(scene.concentration, points, m.surfactant, "surfactant")
-        _positive(gamma, points, "surfactant", at_least_zero=True)
-        return eta, m.density * eta * area, gamma * area
-
+    film, state = stepper.film, stepper.state
     if state.l is None:
         points = state.e.x.numpy()[: film.n_e].astype(np.float64)
-        _, mass, amount = masses(points, stepper.geometry.area.numpy(), state.e.region.numpy()[: film.n_e])
+        own = _own_thickness(scene, state.e.region.numpy()[: film.n_e])
+        _, mass, amount = liquid(scene, points, stepper.geometry.area.numpy(), own)
         state.e.mass.assign(mass.astype(np.float32))
         state.e.surfactant.assign(amount.astype(np.float32))
         return
     _share_area(stepper)
     lag = state.l
     points, area = lag.x.numpy().astype(np.float64), 1.0 / lag.eta.numpy().astype(np.float64)
-    eta, mass, amount = masses(points, area, lag.region.numpy())
+    eta, mass, amount = liquid(scene, points, area, _own_thickness(scene, lag.region.numpy()))
     lag.eta.assign(eta.astype(np.float32))
     lag.mass.assign(mass.astype(np.float32))
     lag.surfactant.assign(amount.astype(np.float32))
     stepper.transfer.gather()
+
+
+def liquid(scene: Scene, points: np.ndarray, area: np.ndarray, own: np.ndarray):
+    """Thickness (m), mass (kg) and surfactant (mol) of particles that stand for `area`, all [n].
+
+    Args:
+        scene: its fields say what the film is like.
+        points: [n, 3] m.
+        area: [n] m^2.
+        own: [n] thickness that a bubble has of its own, m; nan where it is the scene's.
+
+    Raises:
+        InputError: the scene's fields are not finite and positive there.
+    """
+    m = scene.material
+    eta = _field(scene.thickness, points, m.thickness, "thickness")
+    eta = _positive(np.where(np.isnan(own), eta, own), points, "thickness")
+    gamma = _field(scene.concentration, points, m.surfactant, "surfactant")
+    _positive(gamma, points, "surfactant", at_least_zero=True)
+    return eta, m.density * eta * area, gamma * area
+
+
+def _own_thickness(scene: Scene, region: np.ndarray) -> np.ndarray:
+    own = np.full(len(region), np.nan)
+    for k, bubble in _bubbles(scene):
+        if bubble.thickness is not None:
+            own[region == k] = bubble.thickness
+    return own
 
 
 def _bubbles(scene: Scene):
