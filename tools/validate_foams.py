@@ -169,6 +169,7 @@ def conservation(page: Page, full: bool) -> None:
     _, _, watched = v.settle(scene)
     aim = f"gas volume of each region, {frames / 240.0:g} s"
     volume = f"{watched['volume_drift']:.1e}"
+    aim += ", logged and found anew at the end"
     page.add(aim, "constant", "-", "0.1 %", "500", volume, watched["volume_drift"] < 1e-3)
     drift = max(watched["mass_drift"], watched["surfactant_drift"])
     page.add("mass, surfactant with exchange", "constant", "-", "1e-5", "500", f"{drift:.1e}", drift < 1e-5)

@@ -5,6 +5,7 @@ import pytest
 import warp as wp
 
 from melp_warp.cluster import Bubble, Cluster, Wall
+from melp_warp.errors import SimulationError
 from melp_warp.foam import FoamMembrane
 from melp_warp.material import Surroundings
 from melp_warp.sampling import make_film
@@ -36,7 +37,7 @@ def star_force(s):
 
 
 def test_star_force_is_the_curvature_of_a_sphere(device):
-    """sum_j w_ij d_ij / a_i = -2/R n within 0.3 % at 1,000 E, second order in the mean; it adds up to nothing."""
+    """sum_j w_ij d_ij / a_i = -2/R n within 0.1 % at 1,000 E, second order in the mean; it adds up to nothing."""
     errors, sizes = [], (500, 1000, 2000)
     for count in sizes:
         _, s = foam(Cluster((Bubble((0.0, 0.0, 0.0), R),)), count, device)
@@ -44,9 +45,9 @@ def test_star_force_is_the_curvature_of_a_sphere(device):
         normal, area = s.state.e.normal.numpy(), s.geometry.area.numpy()
         kappa = np.sum(force * normal, axis=1) / area
         errors.append(abs(kappa.mean() * R / 2.0 + 1.0))
-        assert np.abs(force.sum(axis=0)).max() < 1e-5 * np.abs(force).sum()
-    assert errors[1] < 3e-3
-    assert fitted_order(1.0 / np.sqrt(sizes), errors) > 1.7
+        assert np.abs(force.sum(axis=0)).max() < 1e-12 * np.abs(force).sum()
+    assert errors[1] < 1e-3
+    assert fitted_order(1.0 / np.sqrt(sizes), errors) > 1.9
 
 
 def test_star_pairs_are_symmetric(device):
@@ -64,8 +65,8 @@ def test_star_vectors_close(device):
     _, s = foam(Cluster((Bubble((0.3, 0.0, 0.0), R),)), 1000, device)
     vector = s.geometry.vector.numpy().astype(np.float64)
     x = s.state.e.x.numpy() - np.array([0.3, 0.0, 0.0])
-    assert np.sum(vector * x) / 3.0 == pytest.approx(4.0 / 3.0 * np.pi * R**3, rel=0.01)
-    assert np.abs(vector.sum(axis=0)).max() < 1e-3 * np.abs(vector).sum()
+    assert np.sum(vector * x) / 3.0 == pytest.approx(4.0 / 3.0 * np.pi * R**3, rel=7e-3)
+    assert np.abs(vector.sum(axis=0)).max() < 3e-4 * np.abs(vector).sum()
 
 
 def test_bubbles_apart_are_exposed(device):
@@ -97,7 +98,7 @@ def test_contact_forces_add_up_to_nothing(device):
     first = s.state.e.region.numpy() == 0
     push = contact[first].sum(axis=0)
     assert push[0] < 0.0
-    assert np.abs(contact.sum(axis=0)).max() < 0.02 * np.abs(push[0])
+    assert np.abs(contact.sum(axis=0)).max() < 0.01 * np.abs(push[0])
 
 
 def pull_only(m: FoamMembrane, dt):
@@ -129,7 +130,17 @@ def test_gas_solver_leaves_a_small_true_residual(device):
     for g in range(2):
         mine = region == g
         y[mine] += stiff[g] * sweep[mine] * np.sum(sweep[mine] * x[mine])
-    assert np.linalg.norm(y - b) < 2e-3 * np.linalg.norm(b)
+    assert np.linalg.norm(y - b) < 1e-4 * np.linalg.norm(b)
+
+
+def test_too_many_contacts_stop_the_run(device):
+    """A row that wants more than there is room for is not left out in silence."""
+    _, s = foam(pair(0.001), 600, device)
+    s.step(1e-4)
+    s.check()
+    s.membrane.wanted.fill_(10**6)
+    with pytest.raises(SimulationError, match="list contact has 1000000 entries"):
+        s.check()
 
 
 def test_exchange_conserves_and_repeats(device):

@@ -116,6 +116,26 @@ def test_merge_adds_the_gas_and_keeps_the_liquid():
     assert np.linalg.norm(points - points.mean(axis=0), axis=1) == pytest.approx(merged, rel=0.05)
 
 
+def test_surface_energy_counts_a_partition_once():
+    """Two bubbles apart have 2 sigma 8 pi R^2; joined, 2 sigma times the least area but for the border, within 0.5 %.
+
+    A border of radius r takes 3 r/sqrt(3) off the films and adds three arcs of pi r/3, of which the atmosphere's has no
+    particles and is not counted: 2 sqrt(3) - 2 pi/3 = 1.37 sigma r a length less.
+    """
+    simulation = Simulation(v.foam_scene(*v.pair_of(R, R), 1000, frames=60))
+    sigma = simulation.scene.material.film_tension
+    apart = Simulation(cluster_scene((Bubble((-R, 0.0, 0.0), R), Bubble((2.0 * R, 0.0, 0.0), R)), 2000))
+    apart.advance_frame()
+    assert apart.diagnostics()["surface_energy"] == pytest.approx(2.0 * sigma * 8.0 * np.pi * R**2, rel=2e-3)
+    for _ in range(60):
+        simulation.advance_frame()
+    cube = 4.0 / 3.0 * np.pi * R**3 / (9.0 * np.pi)
+    films, line = 27.0 * np.pi * cube ** (2.0 / 3.0), np.sqrt(3.0) * np.pi * (8.0 * cube) ** (1.0 / 3.0)
+    border = (2.0 * np.sqrt(3.0) - 2.0 * np.pi / 3.0) * simulation.scene.numerics.border * simulation.film.spacing
+    expected = sigma * (2.0 * films - border * line)
+    assert simulation.diagnostics()["surface_energy"] == pytest.approx(expected, rel=5e-3)
+
+
 def test_a_bubble_appears_when_its_place_is_free():
     """Born at 0.02 s where there is room, and never where there is none."""
     bubbles = (
@@ -141,6 +161,16 @@ def test_a_wall_pops_what_touches_it():
     for _ in range(8):
         simulation.advance_frame()
     assert simulation.diagnostics()["regions"] == [0]
+
+
+def test_a_bubble_appears_with_the_film_of_the_scene():
+    """Without a thickness of its own a bubble that is born takes the scene's field where it is."""
+    bubbles = (Bubble((0.0, 0.0, 0.0), R), Bubble((0.0, 3.0 * R, 0.0), 0.8 * R, born=0.005))
+    scene = cluster_scene(bubbles, 300, l_per_e=2, thickness=lambda x: np.where(x[:, 1] > 1.5 * R, 8e-7, 4e-7))
+    simulation = Simulation(scene)
+    simulation.advance_frame()
+    frame = simulation.particles("l")
+    assert frame.thickness[frame.region == 1].mean() == pytest.approx(800.0, rel=0.05)
 
 
 def test_fast_bubbles_do_not_pass_through_each_other():
