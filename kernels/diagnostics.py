@@ -64,13 +64,11 @@ def energy_chunks(
     region: wp.array(dtype=wp.int32),
     tension: wp.array(dtype=float),
     slope: float,
-    exposure: wp.array(dtype=float),
+    cover: wp.array(dtype=float),
     n: int,
     part: wp.array(dtype=wp.float64),
 ):
-    """Parts of the surface energy sigma (1 + e) a, J: both sides of a film, one where a region beyond has the other.
-
-    The atmosphere's own arcs over borders have no particles and are left out, about sigma r a length.
+    """Parts of the surface energy sigma (2 - c) a, J: both sides of a film, one where a region beyond has the other.
 
     Args:
         area: [n_e] m^2.
@@ -78,7 +76,7 @@ def energy_chunks(
         region: [n] region of each E.
         tension: [regions] sigma_0, N/m.
         slope: R T Gamma_0, N/m.
-        exposure: [n_e] e; null for a film without regions beyond it, e = 1.
+        cover: [n_e] c; null for a film without regions beyond it, c = 0.
         n: number of E.
         part: parts.
     """
@@ -87,8 +85,8 @@ def energy_chunks(
     total = wp.float64(0.0)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         sides = float(2.0)
-        if exposure:
-            sides = 1.0 + exposure[i]
+        if cover:
+            sides = 2.0 - cover[i]
         total += wp.float64(sides * (tension[region[i]] - slope * gamma[i]) * area[i])
     part[c] = total
 

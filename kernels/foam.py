@@ -1,6 +1,8 @@
 """Foams: tension of each interface on its Voronoi stars, contact of facing interfaces, what is exposed to the air."""
 
+import os
 import warp as wp
+EDGEVAL=float(os.environ.get("EDGE","0.05"))
 
 from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
 from melp_warp.kernels.neighbors import Neighbors
@@ -10,20 +12,29 @@ from melp_warp.kernels.sph import kernel_w, tangential
 wp.set_module_options({"enable_backward": False})
 
 BACK_TO_BACK = wp.constant(-0.2)
-"""Cosine of the normals below which two interfaces face each other."""
+"""Cosine of the normals below which two sheets face each other."""
+
+OPEN = wp.constant(0.7)
+"""Cosine of the normals from which two sheets have nothing to do with each other: they open by 135 degrees."""
+
+FACING_RAMP = wp.constant(0.4)
+"""Range of the cosine over which that sets in."""
+
+EDGE = wp.constant(EDGEVAL)
+"""Cover below which a sheet counts as free, and below 1 by which it counts as covered: tails that reach flat films."""
 
 
 @wp.struct
 class Contact:
-    """How interfaces of different regions meet; made once a run."""
+    """How sheets of different regions meet; made once a run."""
 
     point: wp.array(dtype=wp.vec3)  # a point of each wall, m
     inward: wp.array(dtype=wp.vec3)  # unit normal of each wall
-    reach: float  # distance within which facing E press on each other, m
-    give: float  # gap beyond which they do not, m
-    ball: float  # radius that decides what is exposed, m
-    ramp: float  # depth over which the exposure falls from 1 to 0, m
-    suction: float  # pressure of the atmosphere over that of the liquid in the borders, Pa
+    reach: float  # distance along the sheets within which facing E act on each other, m
+    give: float  # gap beyond which they do not press on each other, m
+    range: float  # gap beyond which they do not cling to each other, m
+    cling: float  # 2 sigma, work of adhesion of two sheets, N/m
+    lag: float  # time by which forces near a line look ahead, s
 
 
 @wp.kernel
@@ -101,45 +112,75 @@ def nearest_in_row(p: wp.vec3, i: int, x: wp.array(dtype=wp.vec3), rows: Neighbo
     return best
 
 
+@wp.func
+def near_share(gap: float, span: float) -> float:
+    """How much two sheets are one film: 1 at gap 0, none from `span` on, (1 - gap/span)^2 between."""
+    s = wp.clamp(1.0 - gap / span, 0.0, 1.0)
+    return s * s
+
+
+@wp.func
+def meet_sheets(d: wp.vec3, n: wp.vec3, m: wp.vec3, reach: float):
+    """How two E of different regions face each other.
+
+    Their gap is taken along the mean of their normals, along which two points of one sphere have none.
+
+    Args:
+        d: from the first to the second, m.
+        n: normal of the first.
+        m: normal of the second.
+        reach: m.
+
+    Returns:
+        The weight of the pair, W of their distance across the gap, 1/m^2, 0 where they do not face each other; the
+        direction of the gap; the gap, m.
+    """
+    w = float(0.0)
+    gap = float(0.0)
+    along = wp.vec3()
+    facing = wp.dot(n, m)
+    if facing < OPEN:
+        along = wp.normalize(n - m)
+        gap = wp.dot(d, along)
+        beside = wp.sqrt(wp.max(wp.length_sq(d) - gap * gap, 0.0))
+        w = kernel_w(beside, reach) * wp.min((OPEN - facing) / FACING_RAMP, 1.0)
+    return w, along, gap
+
+
 @wp.kernel
-def find_exposure_e(
+def find_cover_e(
     x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
     facing: Neighbors,
     contact: Contact,
     # outputs
-    exposure: wp.array(dtype=float),
+    cover: wp.array(dtype=float),
 ):
-    """Whether a ball fits outside each E: 1 where the atmosphere lies on the film, 0 in borders and partitions.
+    """How much of each E's sheet is one film with another region's: 1 in a partition, 2 on a wall, 0 outside.
 
     Args:
         x: [n] m.
         normal: [n] unit normals.
+        area: [n_e] m^2.
         facing: E of other regions near each E.
         contact: constants.
-        exposure: [n_e] 0 to 1.
+        cover: [n_e] 0 to 2.
     """
     i = wp.tid()
-    c = x[i] + contact.ball * normal[i]
-    depth = float(1.0e30)
-    j = nearest_in_row(c, i, x, facing)
-    if j >= 0:
-        depth = wp.dot(c - x[j], normal[j])
+    p = x[i]
+    n = normal[i]
+    shared = float(0.0)
+    for s in range(facing.start[i], facing.stop[i]):
+        j = facing.index[s]
+        w, _along, gap = meet_sheets(x[j] - p, n, normal[j], contact.reach)
+        shared += area[j] * w * near_share(gap, contact.range)
+    held = wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
     for w in range(contact.point.shape[0]):
-        depth = wp.min(depth, wp.dot(c - contact.point[w], contact.inward[w]))
-    exposure[i] = wp.clamp(0.5 + (depth - contact.ball) / contact.ramp, 0.0, 1.0)
-
-
-@wp.kernel
-def smooth_exposure_e(exposure: wp.array(dtype=float), star: Neighbors, smoothed: wp.array(dtype=float)):
-    """Mean over the star, an E counting as much as two of its neighbours: keeps single E from flickering. [n_e]."""
-    i = wp.tid()
-    total = exposure[i]
-    count = float(1.0)
-    for k in range(star.start[i], star.stop[i]):
-        total += 0.5 * exposure[star.index[k]]
-        count += 0.5
-    smoothed[i] = total / count
+        toward = -wp.dot(n, contact.inward[w])
+        gap = wp.dot(p - contact.point[w], contact.inward[w])
+        held += 2.0 * near_share(gap, contact.range) * wp.clamp((toward + OPEN) / FACING_RAMP, 0.0, 1.0)
+    cover[i] = wp.min(held, 2.0)
 
 
 @wp.kernel
@@ -222,26 +263,55 @@ def store_gas_r(
 
 
 @wp.func
-def press(gap: float, push: float, give: float, hard: float):
-    """Pressure between two interfaces, Pa, and minus its slope, Pa/m.
+def hold(gap: float, spring: float, contact: Contact):
+    """Pressure between two sheets at rest, Pa, and the stiffness with which a step answers it, Pa/m.
 
-    It is `push` at gap 0 and none from `give` on. Where they overlap, `hard` (Pa/m) is added to the slope: enough to
-    stop in a step what comes faster than `push` could stop.
+    They cling to each other with the slope of the energy that one film saves against two, -`cling` near_share', and
+    press on each other with `spring` (Pa/m) from a gap of `contact.give` on. Clinging grows as a gap closes; in the
+    stiffness it counts as a spring that would just close the gap, so that a large step does not carry sheets into each
+    other.
     """
-    pressure = wp.max(0.0, push * (1.0 - gap / give))
-    slope = wp.where(pressure > 0.0, push / give, 0.0)
-    if gap < 0.0:
-        pressure -= hard * gap
-        slope += hard
+    pull = 2.0 * contact.cling / contact.range * wp.clamp(1.0 - gap / contact.range, 0.0, 1.0)
+    pressure = wp.max(0.0, spring * (contact.give - gap)) - pull
+    slope = wp.where(gap < contact.give, spring, 0.0) + pull / wp.max(gap, contact.give)
     return pressure, slope
+
+
+@wp.func
+def press(gap: float, before: float, push: float, inertia: float, contact: Contact, dt: float):
+    """Pressure between two sheets, at rest and in motion, Pa, and the stiffness with which a step answers it, Pa/m.
+
+    In motion it is that of `contact.lag` later than the step ends, which damps, and what drives sheets into each other
+    is stopped within the step.
+
+    Args:
+        gap: at the end of the step with the velocity of its start, m.
+        before: at the start of the step, m.
+        push: Pa.
+        inertia: mean of the two sheets, kg/m^2.
+        contact: constants.
+        dt: s.
+    """
+    later = contact.lag / dt
+    spring = push / contact.give
+    elastic, slope = hold(gap, spring, contact)
+    pressure, _slope = hold(gap + later * (gap - before), spring, contact)
+    slope *= 1.0 + later
+    if gap < 0.0:
+        hard = inertia / (dt * dt)
+        pressure += hard * wp.clamp(before - gap, 0.0, -gap)
+        slope += hard
+    return elastic, pressure, slope
+
 
 
 @wp.kernel
 def pull_foam_e(
+    x: wp.array(dtype=wp.vec3),
     predicted: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
     gamma: wp.array(dtype=float),
-    exposure: wp.array(dtype=float),
+    cover: wp.array(dtype=float),
+    lag: float,
     region: wp.array(dtype=wp.int32),
     tension: wp.array(dtype=float),
     slope: float,
@@ -249,19 +319,21 @@ def pull_foam_e(
     tie: wp.array(dtype=float),
     dt: float,
     # outputs
-    force: wp.array(dtype=float),
+    force: wp.array(dtype=wp.vec3),
+    rest: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     pair: wp.array(dtype=float),
 ):
-    """Tension: sigma (1 + e) kappa a, and its part of the matrix, dt^2 sigma (1 + e) w_ij.
+    """Tension: minus the gradient of the area of the stars, weighed with (2 - c) sigma, and its part of the matrix.
 
-    Each region's interface has tension sigma everywhere, the atmosphere's that lies on the exposed part has it again.
+    A sheet has tension 2 sigma, and what is one film with another sheet half of it.
 
     Args:
+        x: [n] m.
         predicted: [n] m.
-        normal: [n] unit normals.
         gamma: [n_e] relative surfactant concentration.
-        exposure: [n_e] e.
+        cover: [n_e] c.
+        lag: time by which the forces of sheets that face others look ahead, s.
         region: [n] region of each E.
         tension: [regions] sigma_0, N/m.
         slope: R T Gamma_0, N/m.
@@ -273,25 +345,31 @@ def pull_foam_e(
         pair: coefficients, aligned with `rows`, kg.
     """
     i = wp.tid()
-    e = exposure[i]
+    p = x[i]
     at = predicted[i]
     own = tension[region[i]]
     k = rows.start[i]
     pull = wp.vec3()
+    quiet = wp.vec3()
     for s in range(star.start[i], star.stop[i]):
         j = star.index[s]
         sigma = own - 0.5 * slope * (gamma[i] + gamma[j])
-        c = sigma * (1.0 + 0.5 * (e + exposure[j])) * tie[s]
-        pull += c * (predicted[j] - at)
+        c = sigma * (2.0 - 0.5 * (cover[i] + cover[j])) * tie[s]
+        more = wp.where(wp.max(cover[i], cover[j]) > 0.0, lag / dt, 0.0)
+        d = predicted[j] - at
+        pull += c * (d + more * (d - (x[j] - p)))
+        quiet += c * d
         rows.index[k] = j
-        pair[k] = dt * dt * c
+        pair[k] = dt * dt * (1.0 + more) * c
         k += 1
     rows.stop[i] = k
-    force[i] = wp.dot(pull, normal[i])
+    force[i] = pull
+    rest[i] = quiet
 
 
 @wp.kernel
 def press_foam_e(
+    x: wp.array(dtype=wp.vec3),
     predicted: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
@@ -304,19 +382,20 @@ def press_foam_e(
     stride: int,
     dt: float,
     # outputs
-    force: wp.array(dtype=float),
+    force: wp.array(dtype=wp.vec3),
+    rest: wp.array(dtype=wp.vec3),
     diag: wp.array(dtype=float),
     rows: Neighbors,
     pair: wp.array(dtype=float),
     wanted: wp.array(dtype=wp.int32),
 ):
-    """Contact: facing E press on each other along the mean of their normals, and on walls; added to force and matrix.
+    """Contact: facing E press on each other and cling to each other, and to walls; added to force and matrix.
 
-    A pair's pressure falls with the gap, from the suction that holds the two together at gap 0 to nothing at `give`.
-    Along the mean normal two points of one sphere have no gap, whatever their distance. The matrix couples
-    c_i u_i + c_j u_j, the speed at which a gap closes, which `LinearOperator` takes as a negative pair coefficient.
+    Every pair's force has its opposite. The matrix couples c_i u_i + c_j u_j, the speed at which a gap closes, which
+    `LinearOperator` takes as a negative pair coefficient.
 
     Args:
+        x: [n] m.
         predicted: [n] m.
         normal: [n] unit normals.
         area: [n_e] m^2.
@@ -336,88 +415,146 @@ def press_foam_e(
     """
     i = wp.tid()
     n = normal[i]
+    p = x[i]
     at = predicted[i]
     room = rows.start[i] + stride
     k = rows.stop[i]
-    total = float(0.0)
+    total = wp.vec3()
+    quiet = wp.vec3()
     stiff = float(0.0)
     inertia = mass[i] / area[i] + added[region[i]]
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
-        d = predicted[j] - at
-        w = kernel_w(wp.length(d), contact.reach)
         m = normal[j]
-        if w > 0.0 and wp.dot(n, m) < BACK_TO_BACK:
-            along = wp.normalize(n - m)
-            gap = wp.dot(d, along)
+        w, along, gap = meet_sheets(predicted[j] - at, n, m, contact.reach)
+        if w > 0.0 and gap < contact.range:
             strength = 0.5 * (push[region[i]] + push[region[j]])
-            hard = 0.5 * (inertia + added[region[j]] + mass[j] / area[j]) / (dt * dt)
-            pressure, slope = press(gap, strength, contact.give, hard)
-            if pressure > 0.0:
-                a = area[i] * area[j] * w
-                ci = wp.dot(along, n)
-                cj = -wp.dot(along, m)
-                total -= a * pressure * ci
-                c = dt * dt * a * slope * ci
-                stiff += c * (ci + cj)
-                if k < room:
-                    rows.index[k] = j
-                    pair[k] = -c * cj
-                k += 1
+            both = 0.5 * (inertia + added[region[j]] + mass[j] / area[j])
+            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, contact, dt)
+            a = area[i] * area[j] * w
+            total -= (a * pressure) * along
+            quiet -= (a * elastic) * along
+            ci = wp.dot(along, n)
+            cj = -wp.dot(along, m)
+            c = dt * dt * a * slope * ci
+            stiff += c * (ci + cj)
+            if k < room:
+                rows.index[k] = j
+                pair[k] = -c * cj
+            k += 1
     for w in range(contact.point.shape[0]):
-        facing_wall = -wp.dot(n, contact.inward[w])
-        if facing_wall > 0.0:
-            gap = wp.dot(at - contact.point[w], contact.inward[w])
-            strength = push[region[i]]
-            pressure, slope = press(gap, strength, contact.give, inertia / (dt * dt))
-            if pressure > 0.0:
-                total -= area[i] * pressure * facing_wall
-                stiff += dt * dt * area[i] * slope * facing_wall * facing_wall
+        inward = contact.inward[w]
+        toward = -wp.dot(n, inward)
+        gap = wp.dot(at - contact.point[w], inward)
+        part = wp.clamp((toward + OPEN) / FACING_RAMP, 0.0, 1.0)
+        if part > 0.0 and gap < contact.range:
+            before = wp.dot(p - contact.point[w], inward)
+            elastic, pressure, slope = press(gap, before, push[region[i]], inertia, contact, dt)
+            total += (part * area[i] * pressure) * inward
+            quiet += (part * area[i] * elastic) * inward
+            stiff += dt * dt * part * area[i] * slope * toward * toward
     force[i] = force[i] + total
+    rest[i] = rest[i] + quiet
     diag[i] = stiff
     wanted[i] = k - rows.start[i]
     rows.stop[i] = wp.min(k, room)
 
 
 @wp.kernel
+def seek_normals_e(
+    x: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    vector: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    ahead: wp.array(dtype=float),
+    force: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    reach: float,
+    bent: float,
+    # outputs
+    lost: wp.array(dtype=wp.vec3),
+):
+    """What normals around an E take up of the force that its own normal does not: see `load_foam_e`.
+
+    Motion along the normal leaves out what of a force lies in the sheet. Nothing does where the sheet is smooth; at a
+    line, where the tension jumps, it is what holds the angle. The normals n_j around, with weights w_j, take it up as
+    w_j n_j.l with (sum w n n^T) l = F_t. Directions in which the normals hardly turn, by less than `bent`, are damped.
+
+    Args:
+        x: [n] m.
+        normal: [n] unit normals.
+        vector: [n_e] gradient of the volume, m^2.
+        region: [n] region of each E.
+        ahead: [regions] predicted gauge pressure, Pa.
+        force: [n_e] tension and contact, N.
+        rows: E:E neighbours.
+        reach: m.
+        bent: mean square of the turn of normals that is taken for a bend.
+        lost: [n_e] l over the sum of weights, N.
+    """
+    i = wp.tid()
+    n = normal[i]
+    p = x[i]
+    whole = force[i] + ahead[region[i]] * vector[i]
+    along = tangential(whole, n)
+    w = kernel_w(0.0, reach)
+    total = w
+    spread = w * wp.outer(n, n)
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        w = kernel_w(wp.length(x[j] - p), reach)
+        total += w
+        spread += w * wp.outer(normal[j], normal[j])
+    axes, turn = wp.eig3(spread / total)
+    found = wp.vec3()
+    for k in range(3):
+        axis = wp.vec3(axes[0, k], axes[1, k], axes[2, k])
+        s = wp.max(turn[k], 0.0) / bent
+        found += (s * s * s / (1.0 + s * s * s * s) / bent * wp.dot(axis, along)) * axis
+    lost[i] = found / total
+
+
+@wp.kernel
 def load_foam_e(
+    x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     vector: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     mass: wp.array(dtype=float),
-    exposure: wp.array(dtype=float),
     body: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     ahead: wp.array(dtype=float),
     added: wp.array(dtype=float),
-    suction: float,
     damping: float,
     u: wp.array(dtype=wp.vec3),
-    force: wp.array(dtype=float),
+    force: wp.array(dtype=wp.vec3),
+    lost: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    reach: float,
     dt: float,
     # outputs
     b: wp.array(dtype=float),
     diag: wp.array(dtype=float),
     sweep: wp.array(dtype=float),
 ):
-    """Load of the solve: tension and contact, gas against the pressure outside, weight; and the inertia.
-
-    Outside is the atmosphere, or where nothing is exposed the liquid of the borders at `suction` below it.
+    """Load of the solve: tension, contact, gas and weight along the normal, and the inertia.
 
     Args:
+        x: [n] m.
         normal: [n] unit normals.
         vector: [n_e] gradient of the volume, m^2.
         area: [n_e] m^2.
         mass: [n_e] kg.
-        exposure: [n_e] e.
         body: [n_e] acceleration by outside forces, m/s^2.
         region: [n] region of each E.
         ahead: [regions] predicted gauge pressure, Pa.
         added: [regions] mass of the air that moves along, kg/m^2.
-        suction: Pa.
         damping: rate at which the air takes up normal motion, 1/s.
         u: [n] m/s.
         force: [n_e] tension and contact, N.
+        lost: [n_e] from `seek_normals_e`, N.
+        rows: E:E neighbours.
+        reach: m.
         dt: s.
         b: [n_e] kg m/s.
         diag: [n_e] contact in, inertia added, kg.
@@ -425,21 +562,26 @@ def load_foam_e(
     """
     i = wp.tid()
     n = normal[i]
+    p = x[i]
     g = region[i]
+    found = kernel_w(0.0, reach) * lost[i]
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        found += kernel_w(wp.length(x[j] - p), reach) * lost[j]
     face = wp.dot(vector[i], n)
     inertia = mass[i] + added[g] * area[i]
-    pressure = ahead[g] + (1.0 - exposure[i]) * suction
     slow = dt * damping * inertia
-    b[i] = dt * (force[i] + pressure * face + mass[i] * wp.dot(body[i], n)) - slow * wp.dot(u[i], n)
+    load = wp.dot(force[i] + found + mass[i] * body[i], n) + ahead[g] * face
+    b[i] = dt * load - slow * wp.dot(u[i], n)
     diag[i] = diag[i] + inertia + slow
     sweep[i] = dt * face
 
 
 @wp.kernel
-def set_push_r(gas: wp.array2d(dtype=wp.float64), suction: float, push: wp.array(dtype=float)):
-    """Pressure that holds two interfaces of a region's kind together, gauge + suction. [regions], Pa."""
+def set_push_r(gas: wp.array2d(dtype=wp.float64), contact: Contact, push: wp.array(dtype=float)):
+    """Pressure with which two sheets press on each other at gap 0: the gauge's and what they cling with. [regions]."""
     g = wp.tid()
-    push[g] = wp.max(float(gas[g, GAUGE]), 0.0) + suction
+    push[g] = wp.max(float(gas[g, GAUGE]), 0.0) + 2.0 * contact.cling / contact.range
 
 
 @wp.kernel

@@ -14,8 +14,8 @@ from melp_warp.surgery import Stored, add_region, merge_regions, pop_region
 if TYPE_CHECKING:
     from melp_warp.simulation import Simulation
 
-BORDER_EXPOSURE = 0.3
-"""Where two regions merge, the film between them goes up to this exposure, borders and all, so that the hole heals."""
+BORDER_COVER = 0.3
+"""Where two regions merge, the film between them goes down to this cover, borders and all, so that the hole heals."""
 
 WALL_REACH = 0.5
 """Height above a wall that pops bubbles at which one touches it, in E spacings."""
@@ -110,10 +110,10 @@ class Events:
             partner = membrane.find_partners(kind)
             region = (state.e if kind == "e" else state.l).region.numpy()
             mask[kind] = ((region == k) & (partner == other)) | ((region == other) & (partner == k))
-        exposure, region = membrane.exposure.numpy(), state.e.region.numpy()
+        cover, region = membrane.cover.numpy(), state.e.region.numpy()
         nearest = membrane.nearest_regions()
         between = ((region == k) & (nearest == other)) | ((region == other) & (nearest == k))
-        mask["e"] |= between & (exposure < BORDER_EXPOSURE)
+        mask["e"] |= between & (cover > BORDER_COVER)
         return mask
 
     def _new_bubble(self, label: int, simulation: Simulation) -> tuple[dict, float]:

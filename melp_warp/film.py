@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import warp as wp
@@ -11,6 +12,9 @@ from melp_warp.features import Features
 from melp_warp.launch import launch, launch_rows
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
+
+CONTACT_REACH = 2.5
+"""Distance along the sheets within which facing E of different regions act on each other, spacings."""
 
 CHUNKS = 64
 """Number of parts in which the sums over a single region are taken; more regions share them, at least four each."""
@@ -78,7 +82,7 @@ class Film:
     @property
     def contact_reach(self) -> float:
         """Distance within which E of different regions know of each other, m."""
-        return max(2.2 * self.numerics.border, 3.0) * self.spacing
+        return math.hypot(CONTACT_REACH, self.numerics.border) * self.spacing
 
     @property
     def gravity(self) -> wp.vec3:

@@ -6,6 +6,7 @@ is lower. Its radius of curvature, a few spacings, is what the lines are resolve
 """
 
 from __future__ import annotations
+import os
 
 import math
 
@@ -13,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.air import film_added_mass
-from melp_warp.film import Film
+from melp_warp.film import CONTACT_REACH, Film
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import foam as kf
@@ -35,8 +36,12 @@ PARTNER_REACH = 1.2
 EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
 
-SMOOTHINGS = 2
-"""Passes that smooth the exposure."""
+BEND_REACH = float(os.environ.get("BR","2.5"))
+"""Distance over which force along a bent sheet is passed on to normals, spacings."""
+
+import os
+BENT = float(os.environ.get("BENT","0.02"))
+"""Mean square turn of the normals within that distance which counts as a bend."""
 
 
 def make_contact(film: Film) -> kf.Contact:
@@ -46,9 +51,11 @@ def make_contact(film: Film) -> kf.Contact:
     for name, values in (("point", [w.point for w in walls]), ("inward", [w.normal for w in walls])):
         array = np.array(values, dtype=np.float32).reshape(-1, 3)
         setattr(contact, name, wp.array(array, dtype=wp.vec3, device=film.device))
-    contact.reach, contact.give = 2.5 * dx, 0.25 * dx
-    contact.ball, contact.ramp = n.border * dx, 0.6 * dx
-    contact.suction = film.material.film_tension / (n.border * dx)
+    contact.reach, contact.give, contact.range = CONTACT_REACH * dx, 0.25 * dx, n.border * dx
+    contact.cling = 2.0 * film.material.film_tension
+    import os
+    inertia = film.material.areal_mass + (film_added_mass(film.surroundings.air_density, 0.05) if film.features.air else 0.0)
+    contact.lag = float(os.environ.get("LAG","2")) * dx * math.sqrt(inertia / contact.cling)
     return contact
 
 
@@ -88,7 +95,7 @@ class FoamMembrane:
     """Normal dynamics of touching regions, backward Euler. Takes the place of `Membrane`.
 
     Attributes:
-        exposure: [n_e] 1 where the atmosphere's interface lies on the film, 0 in borders and partitions.
+        cover: [n_e] 0 on a film of its own, 1 where the sheet is one film with another region's, 2 on a wall.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [regions] velocity of each region as a whole in the step, m/s: that of `State.motion`.
         frame: the same.
@@ -105,9 +112,9 @@ class FoamMembrane:
         self.fields, self.forces = fields, forces
         n = film.n_e
         self.contact = make_contact(film)
-        self.exposure, self._rough = film.zeros(n), film.zeros(n)
-        self.predicted = film.zeros(n, wp.vec3)
-        self.force, self.u_mid = film.zeros(n), film.zeros(n)
+        self.cover = film.zeros(n)
+        self.predicted, self.force, self._rest, self._lost = (film.zeros(n, wp.vec3) for _ in range(4))
+        self.u_mid = film.zeros(n)
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.added = film.zeros(film.regions)
@@ -135,13 +142,14 @@ class FoamMembrane:
             self.added.assign(film_added_mass(film.surroundings.air_density, radius).astype(np.float32))
         self._find_motion()
 
-    def find_contacts(self) -> None:
-        """What is exposed to the atmosphere, at the present positions."""
+    def find_contacts(self, x: wp.array) -> None:
+        """What is covered by other regions and walls with E at x."""
         film, e = self.film, self.state.e
-        film.launch_e(kf.find_exposure_e, [e.x, e.normal, self.lists.eo.rows, self.contact], [self.exposure])
-        for _ in range(SMOOTHINGS):
-            film.launch_e(kf.smooth_exposure_e, [self.exposure, self.geometry.star], [self._rough])
-            wp.copy(self.exposure, self._rough)
+        film.launch_e(
+            kf.find_cover_e,
+            [x, e.normal, self.geometry.area, self.lists.eo.rows, self.contact],
+            [self.cover],
+        )
 
     def nearest_regions(self) -> np.ndarray:
         """Other region nearest to each E, -1 for none within reach (reads back: between steps)."""
@@ -174,8 +182,8 @@ class FoamMembrane:
         """Advance the normal velocity of E by dt and set `u_mid`."""
         film, e = self.film, self.state.e
         self._find_motion()
-        self.find_contacts()
         film.launch_e(kf.predict_foam_e, [e.x, e.u, e.normal, e.region, self.frame, dt], [self.predicted])
+        self.find_contacts(self.predicted)
         self._sweep()
         pressure = film.surroundings.pressure
         solver = self.response
@@ -205,28 +213,34 @@ class FoamMembrane:
 
     def _assemble(self, dt: float) -> None:
         film, e, geometry, operator = self.film, self.state.e, self.geometry, self.response.operator
-        film.launch_regions(kf.set_push_r, [self.state.gas, self.contact.suction], [self.push])
+        film.launch_regions(kf.set_push_r, [self.state.gas, self.contact], [self.push])
         film.launch_e(
             kf.pull_foam_e,
             [
-                *(self.predicted, e.normal, self.fields.gamma, self.exposure, e.region, film.tension, film.slope),
-                *(geometry.star, geometry.tie, dt),
+                *(e.x, self.predicted, self.fields.gamma, self.cover, self.contact.lag, e.region),
+                *(film.tension, film.slope, geometry.star, geometry.tie, dt),
             ],
-            [self.force, operator.rows, operator.pair],
+            [self.force, self._rest, operator.rows, operator.pair],
         )
         film.launch_e(
             kf.press_foam_e,
             [
-                *(self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push),
+                *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push),
                 *(self.lists.eo.rows, self.contact, self._stride, dt),
             ],
-            [self.force, operator.diag, operator.rows, operator.pair, self.wanted],
+            [self.force, self._rest, operator.diag, operator.rows, operator.pair, self.wanted],
+        )
+        reach = BEND_REACH * film.spacing
+        film.launch_e(
+            kf.seek_normals_e,
+            [e.x, e.normal, geometry.vector, e.region, self.ahead, self._rest, self.lists.ee.rows, reach, BENT],
+            [self._lost],
         )
         film.launch_e(
             kf.load_foam_e,
             [
-                *(e.normal, geometry.vector, geometry.area, e.mass, self.exposure, self.forces.body, e.region),
-                *(self.ahead, self.added, self.contact.suction, film.surroundings.damping, e.u, self.force, dt),
+                *(e.x, e.normal, geometry.vector, geometry.area, e.mass, self.forces.body, e.region, self.ahead),
+                *(self.added, film.surroundings.damping, e.u, self.force, self._lost, self.lists.ee.rows, reach, dt),
             ],
             [self.response.b, operator.diag, self.response.sweep],
         )

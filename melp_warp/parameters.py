@@ -194,7 +194,7 @@ FOAM: Mapping[str, Value] = MappingProxyType(
     {
         "damping": 5.0,
         "exchange": 0.0,
-        "border": 2.0,
+        "border": float(__import__("os").environ.get("BORDER","2.0")),
         "support": 3.0,
         "air": "added_mass",
         "cfl": 0.5,

@@ -226,7 +226,7 @@ class Simulation:
             "volumes": gas[:, 0].tolist(),
             "pressures": gas[:, 1].tolist(),
             "gas": gas[:, 2].tolist(),
-            "exposed": float(self.stepper.membrane.exposure.numpy().mean()),
+            "covered": float(np.minimum(self.stepper.membrane.cover.numpy(), 1.0).mean()),
             "spilled": self.spilled,
         }
 
@@ -246,10 +246,10 @@ class Simulation:
 
     def _surface_energy(self) -> float:
         film, s = self.film, self.stepper
-        exposure = s.membrane.exposure if film.features.foam else None
+        cover = s.membrane.cover if film.features.foam else None
         film.launch_parts(
             kd.energy_chunks,
-            [s.geometry.area, s.fields.gamma, self.state.e.region, film.tension, film.slope, exposure, film.n_e],
+            [s.geometry.area, s.fields.gamma, self.state.e.region, film.tension, film.slope, cover, film.n_e],
             [self._energy],
         )
         return float(self._energy.numpy().sum())
