@@ -1,8 +1,6 @@
-"""Foams: tension of each interface on its Voronoi stars, contact of facing interfaces, what is exposed to the air."""
+"""Foams: tension on Voronoi stars, facing sheets that cling to each other, force that normal motion leaves out."""
 
-import os
 import warp as wp
-EDGEVAL=float(os.environ.get("EDGE","0.05"))
 
 from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
 from melp_warp.kernels.neighbors import Neighbors
@@ -20,7 +18,10 @@ OPEN = wp.constant(0.7)
 FACING_RAMP = wp.constant(0.4)
 """Range of the cosine over which that sets in."""
 
-EDGE = wp.constant(EDGEVAL)
+BENT = wp.constant(0.02)
+"""Mean square turn of the normals within the support from which force in a sheet is passed on to them."""
+
+EDGE = wp.constant(0.1)
 """Cover below which a sheet counts as free, and below 1 by which it counts as covered: tails that reach flat films."""
 
 
@@ -304,7 +305,6 @@ def press(gap: float, before: float, push: float, inertia: float, contact: Conta
     return elastic, pressure, slope
 
 
-
 @wp.kernel
 def pull_foam_e(
     x: wp.array(dtype=wp.vec3),
@@ -467,18 +467,18 @@ def seek_normals_e(
     vector: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     ahead: wp.array(dtype=float),
-    force: wp.array(dtype=wp.vec3),
+    rest: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     reach: float,
-    bent: float,
     # outputs
-    lost: wp.array(dtype=wp.vec3),
+    sought: wp.array(dtype=wp.vec3),
 ):
-    """What normals around an E take up of the force that its own normal does not: see `load_foam_e`.
+    """What the normals around an E make of the force that its own normal leaves out; see `gather_load_e`.
 
-    Motion along the normal leaves out what of a force lies in the sheet. Nothing does where the sheet is smooth; at a
-    line, where the tension jumps, it is what holds the angle. The normals n_j around, with weights w_j, take it up as
-    w_j n_j.l with (sum w n n^T) l = F_t. Directions in which the normals hardly turn, by less than `bent`, are damped.
+    Motion along the normal leaves out what of a force lies in the sheet, F_t. Nothing does where the sheet is smooth;
+    at a line, where the tension jumps, it is what holds the angle. The normals n_j around, with weights w_j, take it up
+    as w_j n_j.l, where (sum w n n^T) l = F_t. The normals turn by mu, the mean square along a principal axis; l is
+    damped by mu^4/(mu^4 + BENT^4), or noise on flat films would be blown up.
 
     Args:
         x: [n] m.
@@ -486,20 +486,17 @@ def seek_normals_e(
         vector: [n_e] gradient of the volume, m^2.
         region: [n] region of each E.
         ahead: [regions] predicted gauge pressure, Pa.
-        force: [n_e] tension and contact, N.
+        rest: [n_e] tension and contact of sheets at rest, N.
         rows: E:E neighbours.
         reach: m.
-        bent: mean square of the turn of normals that is taken for a bend.
-        lost: [n_e] l over the sum of weights, N.
+        sought: [n_e] l over the sum of weights, N m^2.
     """
     i = wp.tid()
     n = normal[i]
     p = x[i]
-    whole = force[i] + ahead[region[i]] * vector[i]
-    along = tangential(whole, n)
-    w = kernel_w(0.0, reach)
-    total = w
-    spread = w * wp.outer(n, n)
+    along = tangential(rest[i] + ahead[region[i]] * vector[i], n)
+    total = kernel_w(0.0, reach)
+    spread = total * wp.outer(n, n)
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         w = kernel_w(wp.length(x[j] - p), reach)
@@ -509,52 +506,116 @@ def seek_normals_e(
     found = wp.vec3()
     for k in range(3):
         axis = wp.vec3(axes[0, k], axes[1, k], axes[2, k])
-        s = wp.max(turn[k], 0.0) / bent
-        found += (s * s * s / (1.0 + s * s * s * s) / bent * wp.dot(axis, along)) * axis
-    lost[i] = found / total
+        s = wp.max(turn[k], 0.0) / BENT
+        found += (s * s * s / (1.0 + s * s * s * s) / BENT * wp.dot(axis, along)) * axis
+    sought[i] = found / total
+
+
+@wp.kernel
+def gather_load_e(
+    x: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    vector: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    ahead: wp.array(dtype=float),
+    force: wp.array(dtype=wp.vec3),
+    sought: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    reach: float,
+    # outputs
+    load: wp.array(dtype=float),
+):
+    """Force of the film and the gas along each E's normal, with what its neighbours pass on.
+
+    Args:
+        x: [n] m.
+        normal: [n] unit normals.
+        vector: [n_e] gradient of the volume, m^2.
+        region: [n] region of each E.
+        ahead: [regions] predicted gauge pressure, Pa.
+        force: [n_e] tension and contact, N.
+        sought: [n_e] from `seek_normals_e`.
+        rows: E:E neighbours.
+        reach: m.
+        load: [n_e] N.
+    """
+    i = wp.tid()
+    p = x[i]
+    found = kernel_w(0.0, reach) * sought[i]
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        found += kernel_w(wp.length(x[j] - p), reach) * sought[j]
+    load[i] = wp.dot(force[i] + found + ahead[region[i]] * vector[i], normal[i])
+
+
+@wp.kernel
+def missing_chunks(
+    normal: wp.array(dtype=wp.vec3),
+    force: wp.array(dtype=wp.vec3),
+    load: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    net: wp.array(dtype=wp.vec3),
+):
+    """Parts of the force on each region that its loads still leave out: the gas has none on a closed surface. N."""
+    c = wp.tid()
+    start, stop = part_range(c, first, net.shape[0])
+    total = wp.vec3()
+    for i in range(start, stop):
+        total += force[i] - load[i] * normal[i]
+    net[c] = total
+
+
+@wp.kernel
+def kick_foam_e(
+    normal: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    fall: wp.array(dtype=wp.vec3),
+    dt: float,
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+):
+    """Outside forces move each region as a whole by dt `fall` (m/s^2) before the solve, whose stiffness would resist."""
+    i = wp.tid()
+    n = normal[i]
+    u[i] = u[i] + dt * wp.dot(fall[region[i]], n) * n
 
 
 @wp.kernel
 def load_foam_e(
-    x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     vector: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     mass: wp.array(dtype=float),
     body: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
-    ahead: wp.array(dtype=float),
+    fall: wp.array(dtype=wp.vec3),
+    missing: wp.array(dtype=wp.vec3),
     added: wp.array(dtype=float),
     damping: float,
     u: wp.array(dtype=wp.vec3),
-    force: wp.array(dtype=wp.vec3),
-    lost: wp.array(dtype=wp.vec3),
-    rows: Neighbors,
-    reach: float,
+    load: wp.array(dtype=float),
     dt: float,
     # outputs
     b: wp.array(dtype=float),
     diag: wp.array(dtype=float),
     sweep: wp.array(dtype=float),
 ):
-    """Load of the solve: tension, contact, gas and weight along the normal, and the inertia.
+    """Right-hand side and inertia of the solve.
 
     Args:
-        x: [n] m.
         normal: [n] unit normals.
         vector: [n_e] gradient of the volume, m^2.
         area: [n_e] m^2.
         mass: [n_e] kg.
         body: [n_e] acceleration by outside forces, m/s^2.
         region: [n] region of each E.
-        ahead: [regions] predicted gauge pressure, Pa.
+        fall: [regions] acceleration that outside forces have given already, m/s^2.
+        missing: [regions] acceleration by the force that the loads leave out, m/s^2.
         added: [regions] mass of the air that moves along, kg/m^2.
         damping: rate at which the air takes up normal motion, 1/s.
         u: [n] m/s.
-        force: [n_e] tension and contact, N.
-        lost: [n_e] from `seek_normals_e`, N.
-        rows: E:E neighbours.
-        reach: m.
+        load: [n_e] from `gather_load_e`, N.
         dt: s.
         b: [n_e] kg m/s.
         diag: [n_e] contact in, inertia added, kg.
@@ -562,19 +623,13 @@ def load_foam_e(
     """
     i = wp.tid()
     n = normal[i]
-    p = x[i]
     g = region[i]
-    found = kernel_w(0.0, reach) * lost[i]
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        found += kernel_w(wp.length(x[j] - p), reach) * lost[j]
-    face = wp.dot(vector[i], n)
     inertia = mass[i] + added[g] * area[i]
+    whole = inertia * wp.dot(missing[g] - fall[g], n) + mass[i] * wp.dot(body[i], n)
     slow = dt * damping * inertia
-    load = wp.dot(force[i] + found + mass[i] * body[i], n) + ahead[g] * face
-    b[i] = dt * load - slow * wp.dot(u[i], n)
+    b[i] = dt * (load[i] + whole) - slow * wp.dot(u[i], n)
     diag[i] = diag[i] + inertia + slow
-    sweep[i] = dt * face
+    sweep[i] = dt * wp.dot(vector[i], n)
 
 
 @wp.kernel

@@ -1,12 +1,11 @@
 """Foams on the host: what regions touch (section 5.2), contact (5.3), shared tension (5.4) and gas, implicit.
 
-Each region's surface is one gas-liquid interface with tension sigma, the atmosphere's is another. A film is two of
-them pressed together; where three films meet they part and leave a border of liquid, a Plateau border, whose pressure
-is lower. Its radius of curvature, a few spacings, is what the lines are resolved with. See docs/foams.md.
+Each region's surface is a sheet of tension 2 sigma, a film of its own. Two sheets that face each other cling, as one
+film saves 2 sigma against two: they become a partition, and where they part the angles are Plateau's. Every force has
+its opposite. See docs/foams.md.
 """
 
 from __future__ import annotations
-import os
 
 import math
 
@@ -36,16 +35,9 @@ PARTNER_REACH = 1.2
 EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
 
-BEND_REACH = float(os.environ.get("BR","2.5"))
-"""Distance over which force along a bent sheet is passed on to normals, spacings."""
-
-import os
-BENT = float(os.environ.get("BENT","0.02"))
-"""Mean square turn of the normals within that distance which counts as a bend."""
-
 
 def make_contact(film: Film) -> kf.Contact:
-    """The constants of `kernels.foam.Contact` for a film's spacing and tension."""
+    """The constants of `kernels.foam.Contact` for a film's spacing and tension; `lag` is set when the run starts."""
     n, dx, walls = film.numerics, film.spacing, film.walls
     contact = kf.Contact()
     for name, values in (("point", [w.point for w in walls]), ("inward", [w.normal for w in walls])):
@@ -53,9 +45,6 @@ def make_contact(film: Film) -> kf.Contact:
         setattr(contact, name, wp.array(array, dtype=wp.vec3, device=film.device))
     contact.reach, contact.give, contact.range = CONTACT_REACH * dx, 0.25 * dx, n.border * dx
     contact.cling = 2.0 * film.material.film_tension
-    import os
-    inertia = film.material.areal_mass + (film_added_mass(film.surroundings.air_density, 0.05) if film.features.air else 0.0)
-    contact.lag = float(os.environ.get("LAG","2")) * dx * math.sqrt(inertia / contact.cling)
     return contact
 
 
@@ -113,11 +102,12 @@ class FoamMembrane:
         n = film.n_e
         self.contact = make_contact(film)
         self.cover = film.zeros(n)
-        self.predicted, self.force, self._rest, self._lost = (film.zeros(n, wp.vec3) for _ in range(4))
-        self.u_mid = film.zeros(n)
+        self.predicted, self.force, self._rest, self._sought = (film.zeros(n, wp.vec3) for _ in range(4))
+        self.u_mid, self._load = film.zeros(n), film.zeros(n)
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
-        self.added = film.zeros(film.regions)
+        self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
+        self._fall, self._missing = film.zeros(film.regions, wp.vec3), film.zeros(film.regions, wp.vec3)
         self._stride = CORNERS + CONTACT_ROOM
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -130,7 +120,8 @@ class FoamMembrane:
             film.parts().shape[0],
         )
         self.wanted = film.zeros(n, wp.int32)
-        self._inertia, self._momentum = film.parts(wp.mat33), film.parts(wp.vec3)
+        self._inertia, self._solid = film.parts(wp.mat33), film.parts(wp.mat33)
+        self._momentum = film.parts(wp.vec3)
         self._swept = film.parts(wp.float64)
 
     def start_motion(self) -> None:
@@ -140,6 +131,8 @@ class FoamMembrane:
             volume = np.maximum(self.state.gas.numpy()[:, 0], 0.0)
             radius = np.cbrt(3.0 * volume / (4.0 * np.pi))
             self.added.assign(film_added_mass(film.surroundings.air_density, radius).astype(np.float32))
+        inertia = film.material.areal_mass + float(self.added.numpy().mean())
+        self.contact.lag = film.spacing * math.sqrt(inertia / self.contact.cling)
         self._find_motion()
 
     def find_contacts(self, x: wp.array) -> None:
@@ -182,6 +175,7 @@ class FoamMembrane:
         """Advance the normal velocity of E by dt and set `u_mid`."""
         film, e = self.film, self.state.e
         self._find_motion()
+        self._fall_freely(dt)
         film.launch_e(kf.predict_foam_e, [e.x, e.u, e.normal, e.region, self.frame, dt], [self.predicted])
         self.find_contacts(self.predicted)
         self._sweep()
@@ -207,6 +201,14 @@ class FoamMembrane:
         )
         film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self.state.motion])
 
+    def _fall_freely(self, dt: float) -> None:
+        """What outside forces do to each region as a whole."""
+        film, e = self.film, self.state.e
+        arrays = [e.normal, e.mass, self.geometry.area, self.forces.body, self._bare, film.first]
+        film.launch_parts(ko.momentum_chunks, arrays, [self._solid, self._momentum])
+        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._fall])
+        film.launch_e(kf.kick_foam_e, [e.normal, e.region, self._fall, dt], [e.u])
+
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
         film.launch_parts(kf.swept_volume_chunks, [e.u, e.normal, self.geometry.vector, film.first], [self._swept])
@@ -230,17 +232,22 @@ class FoamMembrane:
             ],
             [self.force, self._rest, operator.diag, operator.rows, operator.pair, self.wanted],
         )
-        reach = BEND_REACH * film.spacing
+        ee, vector = self.lists.ee.rows, geometry.vector
         film.launch_e(
-            kf.seek_normals_e,
-            [e.x, e.normal, geometry.vector, e.region, self.ahead, self._rest, self.lists.ee.rows, reach, BENT],
-            [self._lost],
+            kf.seek_normals_e, [e.x, e.normal, vector, e.region, self.ahead, self._rest, ee, film.r], [self._sought]
         )
+        film.launch_e(
+            kf.gather_load_e,
+            [e.x, e.normal, vector, e.region, self.ahead, self.force, self._sought, ee, film.r],
+            [self._load],
+        )
+        film.launch_parts(kf.missing_chunks, [e.normal, self.force, self._load, film.first], [self._momentum])
+        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._missing])
         film.launch_e(
             kf.load_foam_e,
             [
-                *(e.x, e.normal, geometry.vector, geometry.area, e.mass, self.forces.body, e.region, self.ahead),
-                *(self.added, film.surroundings.damping, e.u, self.force, self._lost, self.lists.ee.rows, reach, dt),
+                *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._fall, self._missing),
+                *(self.added, film.surroundings.damping, e.u, self._load, dt),
             ],
             [self.response.b, operator.diag, self.response.sweep],
         )

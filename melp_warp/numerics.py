@@ -32,7 +32,7 @@ class Numerics:
         redistribution: strength of the E redistribution (20), 0 for none.
         spread: (delta_max - delta_min)/delta_mean below which E are left alone.
         xsph: XSPH smoothing of the tangential E velocity, 0 to 1 (the paper's 0.99).
-        border: radius of curvature of the Plateau borders in which films of a foam meet, in E spacings.
+        border: gap within which films of a foam cling to each other, in E spacings; lines are about as wide.
         exchange: rate psi at which L cross between films that touch, (27) and (28), 1/s.
         thickness_time: time in which eta_L relaxes to agree with eta_E, s.
     """
@@ -49,7 +49,7 @@ class Numerics:
     redistribution: float = 1.0
     spread: float = 0.02
     xsph: float = 0.99
-    border: float = 2.0
+    border: float = 1.0
     exchange: float = 0.0
     thickness_time: float = 0.1
 
@@ -76,6 +76,6 @@ class Numerics:
         number("redistribution", 0.0, 1.0)
         number("spread", 0.0, 10.0)
         number("xsph", 0.0, 1.0)
-        number("border", 1.0, 8.0)
+        number("border", 0.5, 4.0)
         number("exchange", 0.0, 1e5)
         number("thickness_time", 1e-6, 1e6)

@@ -177,7 +177,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "skin": Key("spacings", "skin of the neighbour lists, in E spacings", 0.05, 4.0),
         "redistribution": Key("-", "strength of the E redistribution (0: none)", 0.0, 1.0),
         "spread": Key("-", "relative spread of E density that is left alone", 0.0, 10.0),
-        "border": Key("spacings", "radius of the borders in which films of a foam meet", 1.0, 8.0),
+        "border": Key("spacings", "gap within which films cling to each other", 0.5, 4.0),
         "xsph": Key("-", "smoothing of the E velocity along the film", 0.0, 1.0),
         "thickness_time": Key("s", "time in which L thickness relaxes to E thickness", 1e-6, 1e6),
     }
@@ -194,7 +194,7 @@ FOAM: Mapping[str, Value] = MappingProxyType(
     {
         "damping": 5.0,
         "exchange": 0.0,
-        "border": float(__import__("os").environ.get("BORDER","2.0")),
+        "border": 1.0,
         "support": 3.0,
         "air": "added_mass",
         "cfl": 0.5,

@@ -17,7 +17,7 @@ except ModuleNotFoundError as error:
 TAPS = np.array([(0, 0), (-1, -1), (1, -1), (-1, 1), (1, 1)])
 
 PARAMETERS = declare(
-    **FOAM | {"damping": 50.0, "border": 1.5},
+    **FOAM | {"damping": 50.0, "border": 1.0},
     bubbles=15,
     radius_low=0.008,
     radius_high=0.012,
