@@ -18,8 +18,11 @@ OPEN = wp.constant(0.7)
 FACING_RAMP = wp.constant(0.4)
 """Range of the cosine over which that sets in."""
 
-BENT = wp.constant(0.02)
-"""Mean square turn of the normals within the support from which force in a sheet is passed on to them."""
+DEEPEST = wp.constant(0.4)
+"""Overlap, in the reach of contact, beyond which two E are taken to have their backs to each other."""
+
+MENISCUS = wp.constant(2.0)
+"""Height of the meniscus on a wall, in the range of clinging."""
 
 EDGE = wp.constant(0.1)
 """Cover below which a sheet counts as free, and below 1 by which it counts as covered: tails that reach flat films."""
@@ -143,9 +146,29 @@ def meet_sheets(d: wp.vec3, n: wp.vec3, m: wp.vec3, reach: float):
     if facing < OPEN:
         along = wp.normalize(n - m)
         gap = wp.dot(d, along)
-        beside = wp.sqrt(wp.max(wp.length_sq(d) - gap * gap, 0.0))
-        w = kernel_w(beside, reach) * wp.min((OPEN - facing) / FACING_RAMP, 1.0)
+        if gap > -DEEPEST * reach:
+            beside = wp.sqrt(wp.max(wp.length_sq(d) - gap * gap, 0.0))
+            w = kernel_w(beside, reach) * wp.min((OPEN - facing) / FACING_RAMP, 1.0)
     return w, along, gap
+
+
+@wp.func
+def meet_image(d: wp.vec3, n: wp.vec3, m: wp.vec3, height: float, inward: wp.vec3, reach: float):
+    """How an E faces the image of one of its own region in a wall, as `meet_sheets` has it; half the gap.
+
+    Args:
+        d: from the first to the second, m.
+        n: normal of the first.
+        m: normal of the second.
+        height: of the second above the wall, m.
+        inward: normal of the wall.
+        reach: m.
+    """
+    image = d - 2.0 * height * inward
+    w, along, gap = meet_sheets(image, n, m - 2.0 * wp.dot(m, inward) * inward, reach)
+    if wp.dot(n, inward) > 0.0:
+        w = 0.0
+    return w, along, 0.5 * gap
 
 
 @wp.kernel
@@ -154,6 +177,7 @@ def find_cover_e(
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     facing: Neighbors,
+    own: Neighbors,
     contact: Contact,
     # outputs
     cover: wp.array(dtype=float),
@@ -165,6 +189,7 @@ def find_cover_e(
         normal: [n] unit normals.
         area: [n_e] m^2.
         facing: E of other regions near each E.
+        own: E of the same region.
         contact: constants.
         cover: [n_e] 0 to 2.
     """
@@ -177,11 +202,20 @@ def find_cover_e(
         w, _along, gap = meet_sheets(x[j] - p, n, normal[j], contact.reach)
         shared += area[j] * w * near_share(gap, contact.range)
     held = wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
-    for w in range(contact.point.shape[0]):
-        toward = -wp.dot(n, contact.inward[w])
-        gap = wp.dot(p - contact.point[w], contact.inward[w])
-        held += 2.0 * near_share(gap, contact.range) * wp.clamp((toward + OPEN) / FACING_RAMP, 0.0, 1.0)
-    cover[i] = wp.min(held, 2.0)
+    for k in range(contact.point.shape[0]):
+        inward = contact.inward[k]
+        level = wp.dot(inward, contact.point[k])
+        height = wp.dot(inward, p) - level
+        if height < contact.reach:
+            w, _along, gap = meet_image(wp.vec3(), n, n, height, inward, contact.reach)
+            shared = area[i] * w * near_share(gap, contact.range)
+            for s in range(own.start[i], own.stop[i]):
+                j = own.index[s]
+                height = wp.dot(inward, x[j]) - level
+                w, _along, gap = meet_image(x[j] - p, n, normal[j], height, inward, contact.reach)
+                shared += area[j] * w * near_share(gap, contact.range)
+            held += wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
+    cover[i] = wp.min(held, 1.0)
 
 
 @wp.kernel
@@ -355,16 +389,64 @@ def pull_foam_e(
         j = star.index[s]
         sigma = own - 0.5 * slope * (gamma[i] + gamma[j])
         c = sigma * (2.0 - 0.5 * (cover[i] + cover[j])) * tie[s]
-        more = wp.where(wp.max(cover[i], cover[j]) > 0.0, lag / dt, 0.0)
         d = predicted[j] - at
-        pull += c * (d + more * (d - (x[j] - p)))
+        pull += c * (d + lag / dt * (d - (x[j] - p)))
         quiet += c * d
         rows.index[k] = j
-        pair[k] = dt * dt * (1.0 + more) * c
+        pair[k] = dt * (dt + lag) * c
         k += 1
     rows.stop[i] = k
     force[i] = pull
     rest[i] = quiet
+
+
+@wp.func
+def press_wall(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    predicted: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    push: float,
+    inertia: float,
+    own: Neighbors,
+    wall: int,
+    contact: Contact,
+    dt: float,
+):
+    """Contact of E i with a wall: force, force at rest, N, and stiffness, kg.
+
+    The film holds on to the image of its own region, which would make 120 degrees with the wall as with another
+    bubble, and the meniscus around its foot sucks at it, by sigma a length in all, which makes 90: outside the bubble
+    the wall is as wet as inside. In the matrix the image moves as the E does.
+    """
+    inward = contact.inward[wall]
+    level = wp.dot(inward, contact.point[wall])
+    n = normal[i]
+    half = contact
+    half.cling = 0.5 * contact.cling
+    total = wp.vec3()
+    quiet = wp.vec3()
+    stiff = float(0.0)
+    for s in range(own.start[i] - 1, own.stop[i]):
+        j = i
+        if s >= own.start[i]:
+            j = own.index[s]
+        height = wp.dot(inward, predicted[j]) - level
+        w, along, gap = meet_image(predicted[j] - predicted[i], n, normal[j], height, inward, contact.reach)
+        if w > 0.0 and gap < contact.range:
+            image = x[j] - x[i] - 2.0 * (wp.dot(inward, x[j]) - level) * inward
+            before = 0.5 * wp.dot(image, along)
+            elastic, pressure, slope = press(gap, before, push, inertia, half, dt)
+            a = area[i] * area[j] * w
+            total -= (a * pressure) * along
+            quiet -= (a * elastic) * along
+            ci = wp.dot(along, n)
+            stiff += dt * dt * a * slope * ci * ci
+    depth = MENISCUS * contact.range
+    height = wp.clamp(wp.dot(inward, predicted[i]) - level, 0.0, depth)
+    suck = area[i] * contact.cling * (1.0 - height / depth) / depth
+    return total + suck * n, quiet + suck * n, stiff
 
 
 @wp.kernel
@@ -378,6 +460,7 @@ def press_foam_e(
     added: wp.array(dtype=float),
     push: wp.array(dtype=float),
     facing: Neighbors,
+    own: Neighbors,
     contact: Contact,
     stride: int,
     dt: float,
@@ -404,6 +487,7 @@ def press_foam_e(
         added: [regions] mass of the air that moves along, kg/m^2.
         push: [regions] pressure at gap 0, Pa.
         facing: E of other regions near each E.
+        own: E of the same region.
         contact: constants.
         stride: room of a row.
         dt: s.
@@ -443,16 +527,11 @@ def press_foam_e(
                 pair[k] = -c * cj
             k += 1
     for w in range(contact.point.shape[0]):
-        inward = contact.inward[w]
-        toward = -wp.dot(n, inward)
-        gap = wp.dot(at - contact.point[w], inward)
-        part = wp.clamp((toward + OPEN) / FACING_RAMP, 0.0, 1.0)
-        if part > 0.0 and gap < contact.range:
-            before = wp.dot(p - contact.point[w], inward)
-            elastic, pressure, slope = press(gap, before, push[region[i]], inertia, contact, dt)
-            total += (part * area[i] * pressure) * inward
-            quiet += (part * area[i] * elastic) * inward
-            stiff += dt * dt * part * area[i] * slope * toward * toward
+        if wp.dot(contact.inward[w], at - contact.point[w]) < contact.reach:
+            wall, quiet_wall, stiff_wall = press_wall(i, x, predicted, normal, area, push[region[i]], inertia, own, w, contact, dt)
+            total += wall
+            quiet += quiet_wall
+            stiff += stiff_wall
     force[i] = force[i] + total
     rest[i] = rest[i] + quiet
     diag[i] = stiff
@@ -468,8 +547,12 @@ def seek_normals_e(
     region: wp.array(dtype=wp.int32),
     ahead: wp.array(dtype=float),
     rest: wp.array(dtype=wp.vec3),
+    cover: wp.array(dtype=float),
+    star: Neighbors,
     rows: Neighbors,
     reach: float,
+    bent: wp.array(dtype=float),
+    share: float,
     # outputs
     sought: wp.array(dtype=wp.vec3),
 ):
@@ -478,7 +561,8 @@ def seek_normals_e(
     Motion along the normal leaves out what of a force lies in the sheet, F_t. Nothing does where the sheet is smooth;
     at a line, where the tension jumps, it is what holds the angle. The normals n_j around, with weights w_j, take it up
     as w_j n_j.l, where (sum w n n^T) l = F_t. The normals turn by mu, the mean square along a principal axis; l is
-    damped by mu^4/(mu^4 + BENT^4), or noise on flat films would be blown up.
+    damped by mu^4/(mu^4 + bent^4), or noise on smooth films would be blown up. It follows with a delay: the normals
+    themselves answer to it.
 
     Args:
         x: [n] m.
@@ -487,14 +571,24 @@ def seek_normals_e(
         region: [n] region of each E.
         ahead: [regions] predicted gauge pressure, Pa.
         rest: [n_e] tension and contact of sheets at rest, N.
+        cover: [n_e]; far from what is covered nothing is passed on.
+        star: neighbours across the cell's edges.
         rows: E:E neighbours.
         reach: m.
-        sought: [n_e] l over the sum of weights, N m^2.
+        bent: [regions] mean square turn of the normals from which they take up force.
+        share: how far l comes towards what it should be in this step, 0 to 1.
+        sought: [n_e] l over the sum of weights, N m^2; in and out.
     """
     i = wp.tid()
     n = normal[i]
     p = x[i]
     along = tangential(rest[i] + ahead[region[i]] * vector[i], n)
+    held = cover[i]
+    for k in range(star.start[i], star.stop[i]):
+        held = wp.max(held, cover[star.index[k]])
+    if held == 0.0:
+        sought[i] = (1.0 - share) * sought[i]
+        return
     total = kernel_w(0.0, reach)
     spread = total * wp.outer(n, n)
     for k in range(rows.start[i], rows.stop[i]):
@@ -502,13 +596,14 @@ def seek_normals_e(
         w = kernel_w(wp.length(x[j] - p), reach)
         total += w
         spread += w * wp.outer(normal[j], normal[j])
+    least = bent[region[i]]
     axes, turn = wp.eig3(spread / total)
     found = wp.vec3()
     for k in range(3):
         axis = wp.vec3(axes[0, k], axes[1, k], axes[2, k])
-        s = wp.max(turn[k], 0.0) / BENT
-        found += (s * s * s / (1.0 + s * s * s * s) / BENT * wp.dot(axis, along)) * axis
-    sought[i] = found / total
+        s = wp.max(turn[k], 0.0) / least
+        found += (s * s * s / (1.0 + s * s * s * s) / least * wp.dot(axis, along)) * axis
+    sought[i] = sought[i] + share * (found / total - sought[i])
 
 
 @wp.kernel

@@ -32,6 +32,12 @@ CONTACT_ROOM = 96
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
+BENT, CAP = 0.02, 4.0
+"""Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
+
+PATIENCE = 10.0
+"""Time in which force along bent sheets is passed on, in those of a wave across a spacing."""
+
 EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
 
@@ -90,6 +96,7 @@ class FoamMembrane:
         frame: the same.
         wanted: [n_e] length that each row of the matrix needs.
         added: [regions] mass of the air that moves along, kg/m^2.
+        bent: [regions] turn of normals that counts as a bend.
     """
 
     explicit = False
@@ -106,6 +113,7 @@ class FoamMembrane:
         self.u_mid, self._load = film.zeros(n), film.zeros(n)
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
+        self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
         self._fall, self._missing = film.zeros(film.regions, wp.vec3), film.zeros(film.regions, wp.vec3)
         self._stride = CORNERS + CONTACT_ROOM
@@ -127,20 +135,27 @@ class FoamMembrane:
     def start_motion(self) -> None:
         """Take the air's mass from the volumes and the translations from the velocities, at the start of a run."""
         film = self.film
+        volume = np.maximum(self.state.gas.numpy()[:, 0], 0.0)
+        radius = np.maximum(np.cbrt(3.0 * volume / (4.0 * np.pi)), 1e-3 * film.spacing)
+        # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.062 r^2
+        self.bent.assign(np.maximum(BENT, CAP * 0.062 * (film.r / radius) ** 2).astype(np.float32))
         if film.features.air:
-            volume = np.maximum(self.state.gas.numpy()[:, 0], 0.0)
-            radius = np.cbrt(3.0 * volume / (4.0 * np.pi))
             self.added.assign(film_added_mass(film.surroundings.air_density, radius).astype(np.float32))
         inertia = film.material.areal_mass + float(self.added.numpy().mean())
         self.contact.lag = film.spacing * math.sqrt(inertia / self.contact.cling)
         self._find_motion()
+
+    @property
+    def longest_step(self) -> float:
+        """Step in which what moves along bent sheets is still followed, s: two times that of a wave across a spacing."""
+        return 2.0 * self.contact.lag
 
     def find_contacts(self, x: wp.array) -> None:
         """What is covered by other regions and walls with E at x."""
         film, e = self.film, self.state.e
         film.launch_e(
             kf.find_cover_e,
-            [x, e.normal, self.geometry.area, self.lists.eo.rows, self.contact],
+            [x, e.normal, self.geometry.area, self.lists.eo.rows, self.lists.ee.rows, self.contact],
             [self.cover],
         )
 
@@ -228,13 +243,18 @@ class FoamMembrane:
             kf.press_foam_e,
             [
                 *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push),
-                *(self.lists.eo.rows, self.contact, self._stride, dt),
+                *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
             [self.force, self._rest, operator.diag, operator.rows, operator.pair, self.wanted],
         )
         ee, vector = self.lists.ee.rows, geometry.vector
         film.launch_e(
-            kf.seek_normals_e, [e.x, e.normal, vector, e.region, self.ahead, self._rest, ee, film.r], [self._sought]
+            kf.seek_normals_e,
+            [
+                *(e.x, e.normal, vector, e.region, self.ahead, self._rest, self.cover, geometry.star, ee, film.r),
+                *(self.bent, -math.expm1(-dt / (PATIENCE * self.contact.lag))),
+            ],
+            [self._sought],
         )
         film.launch_e(
             kf.gather_load_e,

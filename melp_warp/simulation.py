@@ -144,6 +144,8 @@ class Simulation:
         limit = 1.0 / self.scene.fps
         if self.scene.dt is not None:
             return min(limit, self.scene.dt)
+        if self.film.features.foam:
+            limit = min(limit, self.stepper.membrane.longest_step)
         reach = self.scene.numerics.cfl * self.film.spacing
         if self._step_limit == 0.0:
             return min(limit, reach / self._wave_speed())
