@@ -414,7 +414,7 @@ def press_wall(
     contact: Contact,
     dt: float,
 ):
-    """Contact of E i with a wall: force, force at rest, N, and stiffness, kg.
+    """Contact of E i with a wall: force, force at rest, the meniscus' force along the wall, N, and stiffness, kg.
 
     The film holds on to the image of its own region, which would make 120 degrees with the wall as with another
     bubble, and the meniscus around its foot sucks at it, by sigma a length in all, which makes 90: outside the bubble
@@ -445,8 +445,9 @@ def press_wall(
             stiff += dt * dt * a * slope * ci * ci
     depth = MENISCUS * contact.range
     height = wp.clamp(wp.dot(inward, predicted[i]) - level, 0.0, depth)
-    suck = area[i] * contact.cling * (1.0 - height / depth) / depth
-    return total + suck * n, quiet + suck * n, stiff
+    suck = (area[i] * contact.cling * (1.0 - height / depth) / depth) * n
+    side = tangential(suck, inward)
+    return total + suck - side, quiet + suck, side, stiff
 
 
 @wp.kernel
@@ -467,6 +468,7 @@ def press_foam_e(
     # outputs
     force: wp.array(dtype=wp.vec3),
     rest: wp.array(dtype=wp.vec3),
+    foot: wp.array(dtype=wp.vec3),
     diag: wp.array(dtype=float),
     rows: Neighbors,
     pair: wp.array(dtype=float),
@@ -505,6 +507,7 @@ def press_foam_e(
     k = rows.stop[i]
     total = wp.vec3()
     quiet = wp.vec3()
+    drawn = wp.vec3()
     stiff = float(0.0)
     inertia = mass[i] / area[i] + added[region[i]]
     for s in range(facing.start[i], facing.stop[i]):
@@ -528,12 +531,14 @@ def press_foam_e(
             k += 1
     for w in range(contact.point.shape[0]):
         if wp.dot(contact.inward[w], at - contact.point[w]) < contact.reach:
-            wall, quiet_wall, stiff_wall = press_wall(i, x, predicted, normal, area, push[region[i]], inertia, own, w, contact, dt)
+            wall, quiet_wall, side, stiff_wall = press_wall(i, x, predicted, normal, area, push[region[i]], inertia, own, w, contact, dt)
             total += wall
             quiet += quiet_wall
+            drawn += side
             stiff += stiff_wall
     force[i] = force[i] + total
     rest[i] = rest[i] + quiet
+    foot[i] = drawn
     diag[i] = stiff
     wanted[i] = k - rows.start[i]
     rows.stop[i] = wp.min(k, room)
@@ -614,6 +619,7 @@ def gather_load_e(
     region: wp.array(dtype=wp.int32),
     ahead: wp.array(dtype=float),
     force: wp.array(dtype=wp.vec3),
+    foot: wp.array(dtype=wp.vec3),
     sought: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     reach: float,
@@ -629,6 +635,7 @@ def gather_load_e(
         region: [n] region of each E.
         ahead: [regions] predicted gauge pressure, Pa.
         force: [n_e] tension and contact, N.
+        foot: [n_e] menisci's force along their walls, N: none in all, so that of a region is no part of `force`.
         sought: [n_e] from `seek_normals_e`.
         rows: E:E neighbours.
         reach: m.
@@ -640,7 +647,7 @@ def gather_load_e(
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         found += kernel_w(wp.length(x[j] - p), reach) * sought[j]
-    load[i] = wp.dot(force[i] + found + ahead[region[i]] * vector[i], normal[i])
+    load[i] = wp.dot(force[i] + foot[i] + found + ahead[region[i]] * vector[i], normal[i])
 
 
 @wp.kernel

@@ -109,7 +109,7 @@ class FoamMembrane:
         n = film.n_e
         self.contact = make_contact(film)
         self.cover = film.zeros(n)
-        self.predicted, self.force, self._rest, self._sought = (film.zeros(n, wp.vec3) for _ in range(4))
+        self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
         self.u_mid, self._load = film.zeros(n), film.zeros(n)
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
@@ -245,7 +245,7 @@ class FoamMembrane:
                 *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
-            [self.force, self._rest, operator.diag, operator.rows, operator.pair, self.wanted],
+            [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
         )
         ee, vector = self.lists.ee.rows, geometry.vector
         film.launch_e(
@@ -258,7 +258,7 @@ class FoamMembrane:
         )
         film.launch_e(
             kf.gather_load_e,
-            [e.x, e.normal, vector, e.region, self.ahead, self.force, self._sought, ee, film.r],
+            [e.x, e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought, ee, film.r],
             [self._load],
         )
         film.launch_parts(kf.missing_chunks, [e.normal, self.force, self._load, film.first], [self._momentum])
