@@ -166,7 +166,7 @@ def meet_image(d: wp.vec3, n: wp.vec3, m: wp.vec3, height: float, inward: wp.vec
     """
     image = d - 2.0 * height * inward
     w, along, gap = meet_sheets(image, n, m - 2.0 * wp.dot(m, inward) * inward, reach)
-    if wp.dot(n, inward) > 0.0:
+    if wp.max(wp.dot(n, inward), wp.dot(m, inward)) > 0.0:
         w = 0.0
     return w, along, 0.5 * gap
 
@@ -701,6 +701,7 @@ def load_foam_e(
     # outputs
     b: wp.array(dtype=float),
     diag: wp.array(dtype=float),
+    inertia: wp.array(dtype=float),
     sweep: wp.array(dtype=float),
 ):
     """Right-hand side and inertia of the solve.
@@ -721,16 +722,18 @@ def load_foam_e(
         dt: s.
         b: [n_e] kg m/s.
         diag: [n_e] contact in, inertia added, kg.
+        inertia: [n_e] mass with the air's and what damping adds, kg.
         sweep: [n_e] dt N.n, volume swept per normal speed, m^2 s.
     """
     i = wp.tid()
     n = normal[i]
     g = region[i]
-    inertia = mass[i] + added[g] * area[i]
-    whole = inertia * wp.dot(missing[g] - fall[g], n) + mass[i] * wp.dot(body[i], n)
-    slow = dt * damping * inertia
+    m = mass[i] + added[g] * area[i]
+    whole = m * wp.dot(missing[g] - fall[g], n) + mass[i] * wp.dot(body[i], n)
+    slow = dt * damping * m
     b[i] = dt * (load[i] + whole) - slow * wp.dot(u[i], n)
-    diag[i] = diag[i] + inertia + slow
+    inertia[i] = m + slow
+    diag[i] = diag[i] + inertia[i]
     sweep[i] = dt * wp.dot(vector[i], n)
 
 
@@ -742,17 +745,101 @@ def set_push_r(gas: wp.array2d(dtype=wp.float64), contact: Contact, push: wp.arr
 
 
 @wp.kernel
+def kept_chunks(
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    cover: wp.array(dtype=float),
+    b: wp.array(dtype=float),
+    inertia: wp.array(dtype=float),
+    change: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    kept: wp.array(dtype=wp.vec4),
+):
+    """Parts of the momentum that the matrix kept from each region, kg m/s, and of its area that others cover, m^2.
+
+    Args:
+        normal: [n] unit normals.
+        area: [n_e] m^2.
+        cover: [n_e] 0 to 1.
+        b: [n_e] loads, kg m/s.
+        inertia: [n_e] kg.
+        change: [n_e] solution, m/s.
+        first: [regions + 1] first E of each region.
+        kept: parts.
+    """
+    c = wp.tid()
+    start, stop = part_range(c, first, kept.shape[0])
+    total = wp.vec3()
+    covered = float(0.0)
+    for i in range(start, stop):
+        total += (b[i] - inertia[i] * change[i]) * normal[i]
+        covered += cover[i] * area[i]
+    kept[c] = wp.vec4(total[0], total[1], total[2], covered)
+
+
+@wp.kernel
+def settle_debt(
+    kept: wp.array(dtype=wp.vec4),
+    contact: Contact,
+    share: float,
+    # outputs
+    debt: wp.array(dtype=wp.vec4),
+):
+    """Momentum owed to the foam as a whole, kg m/s, and what of it is paid in this step.
+
+    Contact has no net force, and the walls have none along them; but the matrix knows normals alone, so that a solve
+    that closes gaps kicks a foam as a whole.
+
+    Args:
+        kept: parts from `kept_chunks`.
+        contact: constants.
+        share: how much of the debt is paid in a step.
+        debt: what is owed, and what is paid now with the area that is covered.
+    """
+    total = wp.vec4()
+    for c in range(kept.shape[0]):
+        total += kept[c]
+    owed = wp.vec3(debt[0][0], debt[0][1], debt[0][2]) + wp.vec3(total[0], total[1], total[2])
+    for k in range(contact.point.shape[0]):
+        owed = tangential(owed, contact.inward[k])
+    paid = wp.where(total[3] > 0.0, share, 0.0) * owed
+    owed = owed - paid
+    debt[0] = wp.vec4(owed[0], owed[1], owed[2], 0.0)
+    debt[1] = wp.vec4(paid[0], paid[1], paid[2], total[3])
+
+
+@wp.kernel
+def pay_debt_r(
+    kept: wp.array(dtype=wp.vec4),
+    mass: wp.array(dtype=wp.mat33),
+    debt: wp.array(dtype=wp.vec4),
+    # outputs
+    recoil: wp.array(dtype=wp.vec3),
+):
+    """Velocity that each region gets of what is paid, in the measure of its covered area. [regions], m/s."""
+    g = wp.tid()
+    own = region_total(kept, g, recoil.shape[0])
+    paid = debt[1]
+    part = wp.where(paid[3] > 0.0, own[3] / paid[3], 0.0)
+    net = part * wp.vec3(paid[0], paid[1], paid[2])
+    recoil[g] = wp.inverse(region_total(mass, g, recoil.shape[0])) * net
+
+
+@wp.kernel
 def apply_foam_e(
     normal: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     change: wp.array(dtype=float),
+    recoil: wp.array(dtype=wp.vec3),
     # outputs
     u: wp.array(dtype=wp.vec3),
     u_mid: wp.array(dtype=float),
 ):
-    """Add the change of normal speed; E move with the speed at the end of the step. [n_e], m/s."""
+    """Add the change of normal speed and the region's recoil; E move with the speed at the end of the step. [n_e]."""
     i = wp.tid()
     n = normal[i]
-    u[i] = u[i] + change[i] * n
+    u[i] = u[i] + (change[i] + wp.dot(recoil[region[i]], n)) * n
     u_mid[i] = wp.dot(u[i], n)
 
 

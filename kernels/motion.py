@@ -73,19 +73,21 @@ def solve_motion_r(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec
 @wp.kernel
 def hold_motion_e(
     normal: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.vec3),
     motion: wp.array(dtype=wp.vec3),
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
-    """Give the film the translation `motion`, which outside forces alone change, in place of the one found. [n_e].
+    """Give each region the translation `motion`, which outside forces alone change, in place of the one found. [n_e].
 
     Momentum is a sum over a surface that has moved since: what turning normals and the implicit stiffness make of it
     would let a wobbling bubble swim away.
     """
     i = wp.tid()
     n = normal[i]
-    u[i] = u[i] + wp.dot(motion[0] - found[0], n) * n
+    g = region[i]
+    u[i] = u[i] + wp.dot(motion[g] - found[g], n) * n
 
 
 @wp.kernel

@@ -110,12 +110,12 @@ class FoamMembrane:
         self.contact = make_contact(film)
         self.cover = film.zeros(n)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
-        self.u_mid, self._load = film.zeros(n), film.zeros(n)
+        self.u_mid, self._load, self._mass = (film.zeros(n) for _ in range(3))
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
-        self._fall, self._missing = film.zeros(film.regions, wp.vec3), film.zeros(film.regions, wp.vec3)
+        self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
         self._stride = CORNERS + CONTACT_ROOM
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -129,7 +129,7 @@ class FoamMembrane:
         )
         self.wanted = film.zeros(n, wp.int32)
         self._inertia, self._solid = film.parts(wp.mat33), film.parts(wp.mat33)
-        self._momentum = film.parts(wp.vec3)
+        self._momentum, self._kept, self._debt = film.parts(wp.vec3), film.parts(wp.vec4), film.zeros(2, wp.vec4)
         self._swept = film.parts(wp.float64)
 
     def start_motion(self) -> None:
@@ -143,12 +143,16 @@ class FoamMembrane:
             self.added.assign(film_added_mass(film.surroundings.air_density, radius).astype(np.float32))
         inertia = film.material.areal_mass + float(self.added.numpy().mean())
         self.contact.lag = film.spacing * math.sqrt(inertia / self.contact.cling)
-        self._find_motion()
+        self._find_motion(self.state.motion)
 
     @property
     def longest_step(self) -> float:
         """Step in which what moves along bent sheets is still followed, s: two times that of a wave across a spacing."""
         return 2.0 * self.contact.lag
+
+    def _patience(self, dt: float) -> float:
+        """Share of what is passed on late that is passed on in a step."""
+        return -math.expm1(-dt / (PATIENCE * self.contact.lag))
 
     def find_contacts(self, x: wp.array) -> None:
         """What is covered by other regions and walls with E at x."""
@@ -189,7 +193,8 @@ class FoamMembrane:
     def solve(self, dt: float) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
         film, e = self.film, self.state.e
-        self._find_motion()
+        self._find_motion(self._found)
+        film.launch_e(ko.hold_motion_e, [e.normal, e.region, self._found, self.state.motion], [e.u])
         self._fall_freely(dt)
         film.launch_e(kf.predict_foam_e, [e.x, e.u, e.normal, e.region, self.frame, dt], [self.predicted])
         self.find_contacts(self.predicted)
@@ -199,7 +204,12 @@ class FoamMembrane:
         film.launch_regions(kf.predict_gas_r, [self._swept, pressure, dt], [self.state.gas, solver.stiff, self.ahead])
         self._assemble(dt)
         solver.solve()
-        film.launch_e(kf.apply_foam_e, [e.normal, solver.x], [e.u, self.u_mid])
+        arrays = [e.normal, self.geometry.area, self.cover, solver.b, self._mass, solver.x, film.first]
+        film.launch_parts(kf.kept_chunks, arrays, [self._kept])
+        film.launch_one(kf.settle_debt, [self._kept, self.contact, self._patience(dt)], [self._debt])
+        film.launch_regions(kf.pay_debt_r, [self._kept, self._inertia, self._debt], [self._recoil])
+        film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self._recoil], [e.u, self.u_mid])
+        self._find_motion(self.state.motion)
         self._sweep()
         film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
 
@@ -207,14 +217,14 @@ class FoamMembrane:
         """After the move: offset E so that volume and pressure obey the gas law."""
         close_volume(self.film, self.state)
 
-    def _find_motion(self) -> None:
+    def _find_motion(self, motion: wp.array) -> None:
         film, e = self.film, self.state.e
         film.launch_parts(
             ko.momentum_chunks,
             [e.normal, e.mass, self.geometry.area, e.u, self.added, film.first],
             [self._inertia, self._momentum],
         )
-        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self.state.motion])
+        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [motion])
 
     def _fall_freely(self, dt: float) -> None:
         """What outside forces do to each region as a whole."""
@@ -252,7 +262,7 @@ class FoamMembrane:
             kf.seek_normals_e,
             [
                 *(e.x, e.normal, vector, e.region, self.ahead, self._rest, self.cover, geometry.star, ee, film.r),
-                *(self.bent, -math.expm1(-dt / (PATIENCE * self.contact.lag))),
+                *(self.bent, self._patience(dt)),
             ],
             [self._sought],
         )
@@ -269,5 +279,5 @@ class FoamMembrane:
                 *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._fall, self._missing),
                 *(self.added, film.surroundings.damping, e.u, self._load, dt),
             ],
-            [self.response.b, operator.diag, self.response.sweep],
+            [self.response.b, operator.diag, self._mass, self.response.sweep],
         )

@@ -173,7 +173,8 @@ class Membrane:
         if self.film.features.closed:
             self._find_motion(self.found)
             wp.copy(self.start, self.state.motion)
-            self.film.launch_e(ko.hold_motion_e, [self.state.e.normal, self.found, self.state.motion], [self.state.e.u])
+            e = self.state.e
+            self.film.launch_e(ko.hold_motion_e, [e.normal, e.region, self.found, self.state.motion], [e.u])
         self._load(ahead, dt)
         change, unit = self._respond(dt)
         if self.film.features.closed:
