@@ -623,6 +623,7 @@ def gather_load_e(
     sought: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     reach: float,
+    most: float,
     # outputs
     load: wp.array(dtype=float),
 ):
@@ -639,6 +640,7 @@ def gather_load_e(
         sought: [n_e] from `seek_normals_e`.
         rows: E:E neighbours.
         reach: m.
+        most: most that an E takes from its neighbours, N.
         load: [n_e] N.
     """
     i = wp.tid()
@@ -647,7 +649,9 @@ def gather_load_e(
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         found += kernel_w(wp.length(x[j] - p), reach) * sought[j]
-    load[i] = wp.dot(force[i] + foot[i] + found + ahead[region[i]] * vector[i], normal[i])
+    n = normal[i]
+    passed = wp.clamp(wp.dot(found, n), -most, most)
+    load[i] = wp.dot(force[i] + foot[i] + ahead[region[i]] * vector[i], n) + passed
 
 
 @wp.kernel
@@ -841,6 +845,18 @@ def apply_foam_e(
     n = normal[i]
     u[i] = u[i] + (change[i] + wp.dot(recoil[region[i]], n)) * n
     u_mid[i] = wp.dot(u[i], n)
+
+
+@wp.kernel
+def confine_e(contact: Contact, x: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3)):
+    """Put E that have gone through a wall back onto it and stop them there. [n], m and m/s."""
+    i = wp.tid()
+    for w in range(contact.point.shape[0]):
+        inward = contact.inward[w]
+        height = wp.dot(x[i] - contact.point[w], inward)
+        if height < 0.0:
+            x[i] = x[i] - height * inward
+            u[i] = u[i] - wp.min(wp.dot(u[i], inward), 0.0) * inward
 
 
 @wp.kernel

@@ -32,10 +32,10 @@ CONTACT_ROOM = 96
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.02, 4.0
+BENT, CAP = 0.02, float(__import__('os').environ.get('CAP','4'))
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
-PATIENCE = 10.0
+PATIENCE = float(__import__('os').environ.get('PAT','10'))
 """Time in which force along bent sheets is passed on, in those of a wave across a spacing."""
 
 EXCHANGE_INTERVAL = 1.0 / 240.0
@@ -213,6 +213,11 @@ class FoamMembrane:
         self._sweep()
         film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
 
+    def confine(self) -> None:
+        """After the move: E stay inside the walls."""
+        if self.film.walls:
+            self.film.launch_e(kf.confine_e, [self.contact], [self.state.e.x, self.state.e.u])
+
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""
         close_volume(self.film, self.state)
@@ -258,6 +263,7 @@ class FoamMembrane:
             [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
         )
         ee, vector = self.lists.ee.rows, geometry.vector
+        most = float(__import__('os').environ.get('MOST','1')) * 0.5 * self.contact.cling * film.spacing
         film.launch_e(
             kf.seek_normals_e,
             [
@@ -268,7 +274,7 @@ class FoamMembrane:
         )
         film.launch_e(
             kf.gather_load_e,
-            [e.x, e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought, ee, film.r],
+            [e.x, e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought, ee, film.r, most],
             [self._load],
         )
         film.launch_parts(kf.missing_chunks, [e.normal, self.force, self._load, film.first], [self._momentum])

@@ -102,6 +102,8 @@ class Stepper:
                 self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19)
                 if self.redistribution is not None:
                     self.redistribution.apply(dt)  # (20)
+                if f.foam:
+                    self.membrane.confine()
                 if self.rim is not None:
                     self.rim.extend()
                 self.lists.record_e(self.e_advance.x_old, self.at_rest, dt)
