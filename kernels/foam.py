@@ -658,17 +658,33 @@ def gather_load_e(
 def missing_chunks(
     normal: wp.array(dtype=wp.vec3),
     force: wp.array(dtype=wp.vec3),
+    rest: wp.array(dtype=wp.vec3),
+    foot: wp.array(dtype=wp.vec3),
     load: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
     net: wp.array(dtype=wp.vec3),
 ):
-    """Parts of the force on each region that its loads still leave out: the gas has none on a closed surface. N."""
+    """Parts of the force on each region at rest that its loads still leave out, N.
+
+    The gas has none on a closed surface, nor have menisci along their walls.
+
+    Args:
+        normal: [n] unit normals.
+        force: [n_e] tension and contact, N.
+        rest: [n_e] the same of sheets at rest, menisci included, N.
+        foot: [n_e] menisci's force along their walls, N.
+        load: [n_e] from `gather_load_e`, N.
+        first: [regions + 1] first E of each region.
+        net: parts.
+    """
     c = wp.tid()
     start, stop = part_range(c, first, net.shape[0])
     total = wp.vec3()
     for i in range(start, stop):
-        total += force[i] - load[i] * normal[i]
+        n = normal[i]
+        moving = wp.dot(force[i] + foot[i] - rest[i], n)
+        total += rest[i] - foot[i] - (load[i] - moving) * n
     net[c] = total
 
 
@@ -706,6 +722,7 @@ def load_foam_e(
     b: wp.array(dtype=float),
     diag: wp.array(dtype=float),
     inertia: wp.array(dtype=float),
+    outer: wp.array(dtype=float),
     sweep: wp.array(dtype=float),
 ):
     """Right-hand side and inertia of the solve.
@@ -727,15 +744,16 @@ def load_foam_e(
         b: [n_e] kg m/s.
         diag: [n_e] contact in, inertia added, kg.
         inertia: [n_e] mass with the air's and what damping adds, kg.
+        outer: [n_e] the load's part from outside the foam, kg m/s.
         sweep: [n_e] dt N.n, volume swept per normal speed, m^2 s.
     """
     i = wp.tid()
     n = normal[i]
     g = region[i]
     m = mass[i] + added[g] * area[i]
-    whole = m * wp.dot(missing[g] - fall[g], n) + mass[i] * wp.dot(body[i], n)
     slow = dt * damping * m
-    b[i] = dt * (load[i] + whole) - slow * wp.dot(u[i], n)
+    outer[i] = dt * (mass[i] * wp.dot(body[i], n) - m * wp.dot(fall[g], n)) - slow * wp.dot(u[i], n)
+    b[i] = outer[i] + dt * (load[i] + m * wp.dot(missing[g], n))
     inertia[i] = m + slow
     diag[i] = diag[i] + inertia[i]
     sweep[i] = dt * wp.dot(vector[i], n)
@@ -753,20 +771,20 @@ def kept_chunks(
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     cover: wp.array(dtype=float),
-    b: wp.array(dtype=float),
+    outer: wp.array(dtype=float),
     inertia: wp.array(dtype=float),
     change: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
     kept: wp.array(dtype=wp.vec4),
 ):
-    """Parts of the momentum that the matrix kept from each region, kg m/s, and of its area that others cover, m^2.
+    """Parts of the momentum that the foam gave itself, with a minus, kg m/s, and of the area that is covered, m^2.
 
     Args:
         normal: [n] unit normals.
         area: [n_e] m^2.
         cover: [n_e] 0 to 1.
-        b: [n_e] loads, kg m/s.
+        outer: [n_e] loads from outside the foam, kg m/s.
         inertia: [n_e] kg.
         change: [n_e] solution, m/s.
         first: [regions + 1] first E of each region.
@@ -777,7 +795,7 @@ def kept_chunks(
     total = wp.vec3()
     covered = float(0.0)
     for i in range(start, stop):
-        total += (b[i] - inertia[i] * change[i]) * normal[i]
+        total += (outer[i] - inertia[i] * change[i]) * normal[i]
         covered += cover[i] * area[i]
     kept[c] = wp.vec4(total[0], total[1], total[2], covered)
 
@@ -792,8 +810,8 @@ def settle_debt(
 ):
     """Momentum owed to the foam as a whole, kg m/s, and what of it is paid in this step.
 
-    Contact has no net force, and the walls have none along them; but the matrix knows normals alone, so that a solve
-    that closes gaps kicks a foam as a whole.
+    Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
+    matrix, know normals alone, so that contact kicks a foam as a whole.
 
     Args:
         kept: parts from `kept_chunks`.

@@ -110,7 +110,7 @@ class FoamMembrane:
         self.contact = make_contact(film)
         self.cover = film.zeros(n)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
-        self.u_mid, self._load, self._mass = (film.zeros(n) for _ in range(3))
+        self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent = film.zeros(film.regions)
@@ -204,7 +204,7 @@ class FoamMembrane:
         film.launch_regions(kf.predict_gas_r, [self._swept, pressure, dt], [self.state.gas, solver.stiff, self.ahead])
         self._assemble(dt)
         solver.solve()
-        arrays = [e.normal, self.geometry.area, self.cover, solver.b, self._mass, solver.x, film.first]
+        arrays = [e.normal, self.geometry.area, self.cover, self._outer, self._mass, solver.x, film.first]
         film.launch_parts(kf.kept_chunks, arrays, [self._kept])
         film.launch_one(kf.settle_debt, [self._kept, self.contact, self._patience(dt)], [self._debt])
         film.launch_regions(kf.pay_debt_r, [self._kept, self._inertia, self._debt], [self._recoil])
@@ -277,7 +277,7 @@ class FoamMembrane:
             [e.x, e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought, ee, film.r, most],
             [self._load],
         )
-        film.launch_parts(kf.missing_chunks, [e.normal, self.force, self._load, film.first], [self._momentum])
+        film.launch_parts(kf.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum])
         film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._missing])
         film.launch_e(
             kf.load_foam_e,
@@ -285,5 +285,5 @@ class FoamMembrane:
                 *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._fall, self._missing),
                 *(self.added, film.surroundings.damping, e.u, self._load, dt),
             ],
-            [self.response.b, operator.diag, self._mass, self.response.sweep],
+            [self.response.b, operator.diag, self._mass, self._outer, self.response.sweep],
         )
