@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range, region_total
+from melp_warp.kernels.regions import part_range, part_region, region_parts, region_total
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -176,31 +176,41 @@ def find_cover_e(
     x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
     facing: Neighbors,
     own: Neighbors,
     contact: Contact,
     # outputs
     cover: wp.array(dtype=float),
+    beyond: wp.array(dtype=wp.int32),
 ):
-    """How much of each E's sheet is one film with another region's: 1 in a partition, 2 on a wall, 0 outside.
+    """How much of each E's sheet is one film with another region's: 1 in a partition and on a wall, 0 outside.
 
     Args:
         x: [n] m.
         normal: [n] unit normals.
         area: [n_e] m^2.
+        region: [n] region of each E.
         facing: E of other regions near each E.
         own: E of the same region.
         contact: constants.
-        cover: [n_e] 0 to 2.
+        cover: [n_e] 0 to 1.
+        beyond: [n_e] region of the E that covers most of it, -1 for none.
     """
     i = wp.tid()
     p = x[i]
     n = normal[i]
     shared = float(0.0)
+    most = float(0.0)
+    beyond[i] = -1
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
         w, _along, gap = meet_sheets(x[j] - p, n, normal[j], contact.reach)
-        shared += area[j] * w * near_share(gap, contact.range)
+        a = area[j] * w * near_share(gap, contact.range)
+        shared += a
+        if a > most:
+            most = a
+            beyond[i] = region[j]
     held = wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
@@ -655,6 +665,57 @@ def gather_load_e(
 
 
 @wp.kernel
+def touch_chunks(
+    x: wp.array(dtype=wp.vec3),
+    contact: Contact,
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    touch: wp.array(dtype=wp.int32),
+):
+    """Walls that a part of a region touches, a bit each."""
+    c = wp.tid()
+    start, stop = part_range(c, first, touch.shape[0])
+    bits = int(0)
+    for k in range(contact.point.shape[0]):
+        level = wp.dot(contact.inward[k], contact.point[k])
+        near = bool(False)
+        for i in range(start, stop):
+            near = near or wp.dot(contact.inward[k], x[i]) - level < MENISCUS * contact.range
+        if near:
+            bits = bits | (1 << k)
+    touch[c] = bits
+
+
+@wp.func
+def along_walls(v: wp.vec3, g: int, regions: int, touch: wp.array(dtype=wp.int32), contact: Contact) -> wp.vec3:
+    """The part of v along the walls that region g touches: across them the walls take up what there is."""
+    start, stop = region_parts(g, touch.shape[0], regions)
+    bits = int(0)
+    for c in range(start, stop):
+        bits = bits | touch[c]
+    for k in range(contact.point.shape[0]):
+        if (bits >> k) & 1 == 1:
+            v = tangential(v, contact.inward[k])
+    return v
+
+
+@wp.kernel
+def find_missing_r(
+    net: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=wp.mat33),
+    touch: wp.array(dtype=wp.int32),
+    contact: Contact,
+    # outputs
+    missing: wp.array(dtype=wp.vec3),
+):
+    """Acceleration of each region by the force that its loads leave out, along the walls it touches. [regions]."""
+    g = wp.tid()
+    regions = missing.shape[0]
+    force = along_walls(region_total(net, g, regions), g, regions, touch, contact)
+    missing[g] = wp.inverse(region_total(mass, g, regions)) * force
+
+
+@wp.kernel
 def missing_chunks(
     normal: wp.array(dtype=wp.vec3),
     force: wp.array(dtype=wp.vec3),
@@ -767,85 +828,75 @@ def set_push_r(gas: wp.array2d(dtype=wp.float64), contact: Contact, push: wp.arr
 
 
 @wp.kernel
-def kept_chunks(
+def debt_chunks(
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     cover: wp.array(dtype=float),
+    beyond: wp.array(dtype=wp.int32),
     outer: wp.array(dtype=float),
     inertia: wp.array(dtype=float),
     change: wp.array(dtype=float),
+    debt: wp.array(dtype=wp.vec3),
     first: wp.array(dtype=wp.int32),
+    whole: float,
     # outputs
-    kept: wp.array(dtype=wp.vec4),
+    more: wp.array(dtype=wp.vec4),
 ):
-    """Parts of the momentum that the foam gave itself, with a minus, kg m/s, and of the area that is covered, m^2.
+    """Parts of the momentum that each region is owed anew, kg m/s, and of its area that others cover, in `whole`.
+
+    Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
+    matrix, know normals alone, so that contact kicks a foam as a whole. What a region got from inside the foam counts
+    as its debt, which spreads to the regions that touch it, so that what they rightly got from one another cancels.
 
     Args:
         normal: [n] unit normals.
         area: [n_e] m^2.
         cover: [n_e] 0 to 1.
+        beyond: [n_e] region that covers each E, -1 for none.
         outer: [n_e] loads from outside the foam, kg m/s.
         inertia: [n_e] kg.
-        change: [n_e] solution, m/s.
+        change: [n_e] change of the normal speed, m/s.
+        debt: [regions] owed so far, kg m/s.
         first: [regions + 1] first E of each region.
-        kept: parts.
+        whole: area through which a debt spreads within a step, m^2.
+        more: parts.
     """
     c = wp.tid()
-    start, stop = part_range(c, first, kept.shape[0])
+    start, stop = part_range(c, first, more.shape[0])
+    own = debt[part_region(c, first, more.shape[0])]
     total = wp.vec3()
-    covered = float(0.0)
+    touched = float(0.0)
     for i in range(start, stop):
         total += (outer[i] - inertia[i] * change[i]) * normal[i]
-        covered += cover[i] * area[i]
-    kept[c] = wp.vec4(total[0], total[1], total[2], covered)
-
-
-@wp.kernel
-def settle_debt(
-    kept: wp.array(dtype=wp.vec4),
-    contact: Contact,
-    share: float,
-    # outputs
-    debt: wp.array(dtype=wp.vec4),
-):
-    """Momentum owed to the foam as a whole, kg m/s, and what of it is paid in this step.
-
-    Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
-    matrix, know normals alone, so that contact kicks a foam as a whole.
-
-    Args:
-        kept: parts from `kept_chunks`.
-        contact: constants.
-        share: how much of the debt is paid in a step.
-        debt: what is owed, and what is paid now with the area that is covered.
-    """
-    total = wp.vec4()
-    for c in range(kept.shape[0]):
-        total += kept[c]
-    owed = wp.vec3(debt[0][0], debt[0][1], debt[0][2]) + wp.vec3(total[0], total[1], total[2])
-    for k in range(contact.point.shape[0]):
-        owed = tangential(owed, contact.inward[k])
-    paid = wp.where(total[3] > 0.0, share, 0.0) * owed
-    owed = owed - paid
-    debt[0] = wp.vec4(owed[0], owed[1], owed[2], 0.0)
-    debt[1] = wp.vec4(paid[0], paid[1], paid[2], total[3])
+        if beyond[i] >= 0:
+            w = cover[i] * area[i] / whole
+            total += w * (debt[beyond[i]] - own)
+            touched += w
+    more[c] = wp.vec4(total[0], total[1], total[2], touched)
 
 
 @wp.kernel
 def pay_debt_r(
-    kept: wp.array(dtype=wp.vec4),
+    more: wp.array(dtype=wp.vec4),
     mass: wp.array(dtype=wp.mat33),
-    debt: wp.array(dtype=wp.vec4),
+    touch: wp.array(dtype=wp.int32),
+    contact: Contact,
+    share: float,
     # outputs
+    debt: wp.array(dtype=wp.vec3),
     recoil: wp.array(dtype=wp.vec3),
 ):
-    """Velocity that each region gets of what is paid, in the measure of its covered area. [regions], m/s."""
+    """Pay a share of each region's debt of momentum (kg m/s) as a velocity of the region as a whole. [regions], m/s.
+
+    A region that touches no other is paid at once.
+    """
     g = wp.tid()
-    own = region_total(kept, g, recoil.shape[0])
-    paid = debt[1]
-    part = wp.where(paid[3] > 0.0, own[3] / paid[3], 0.0)
-    net = part * wp.vec3(paid[0], paid[1], paid[2])
-    recoil[g] = wp.inverse(region_total(mass, g, recoil.shape[0])) * net
+    new = region_total(more, g, debt.shape[0])
+    owed = debt[g] + wp.vec3(new[0], new[1], new[2])
+    part = wp.where(new[3] > 0.0, share, 1.0)
+    owed = along_walls(owed, g, debt.shape[0], touch, contact)
+    debt[g] = (1.0 - part) * owed
+    recoil[g] = wp.inverse(region_total(mass, g, debt.shape[0])) * (part * owed)
 
 
 @wp.kernel

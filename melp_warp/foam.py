@@ -90,7 +90,8 @@ class FoamMembrane:
     """Normal dynamics of touching regions, backward Euler. Takes the place of `Membrane`.
 
     Attributes:
-        cover: [n_e] 0 on a film of its own, 1 where the sheet is one film with another region's, 2 on a wall.
+        cover: [n_e] 0 on a film of its own, 1 where the sheet is one film with another region's or a wall's.
+        beyond: [n_e] region that covers each E, -1 for none.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [regions] velocity of each region as a whole in the step, m/s: that of `State.motion`.
         frame: the same.
@@ -108,14 +109,16 @@ class FoamMembrane:
         self.fields, self.forces = fields, forces
         n = film.n_e
         self.contact = make_contact(film)
-        self.cover = film.zeros(n)
+        self.cover, self.beyond = film.zeros(n), film.zeros(n, wp.int32)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
-        self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
+        self._fall, self._missing, self._recoil, self._found, self._debt = (
+            film.zeros(film.regions, wp.vec3) for _ in range(5)
+        )
         self._stride = CORNERS + CONTACT_ROOM
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -129,7 +132,7 @@ class FoamMembrane:
         )
         self.wanted = film.zeros(n, wp.int32)
         self._inertia, self._solid = film.parts(wp.mat33), film.parts(wp.mat33)
-        self._momentum, self._kept, self._debt = film.parts(wp.vec3), film.parts(wp.vec4), film.zeros(2, wp.vec4)
+        self._momentum, self._more, self._touch = film.parts(wp.vec3), film.parts(wp.vec4), film.parts(wp.int32)
         self._swept = film.parts(wp.float64)
 
     def start_motion(self) -> None:
@@ -159,8 +162,8 @@ class FoamMembrane:
         film, e = self.film, self.state.e
         film.launch_e(
             kf.find_cover_e,
-            [x, e.normal, self.geometry.area, self.lists.eo.rows, self.lists.ee.rows, self.contact],
-            [self.cover],
+            [x, e.normal, self.geometry.area, e.region, self.lists.eo.rows, self.lists.ee.rows, self.contact],
+            [self.cover, self.beyond],
         )
 
     def nearest_regions(self) -> np.ndarray:
@@ -204,10 +207,7 @@ class FoamMembrane:
         film.launch_regions(kf.predict_gas_r, [self._swept, pressure, dt], [self.state.gas, solver.stiff, self.ahead])
         self._assemble(dt)
         solver.solve()
-        arrays = [e.normal, self.geometry.area, self.cover, self._outer, self._mass, solver.x, film.first]
-        film.launch_parts(kf.kept_chunks, arrays, [self._kept])
-        film.launch_one(kf.settle_debt, [self._kept, self.contact, self._patience(dt)], [self._debt])
-        film.launch_regions(kf.pay_debt_r, [self._kept, self._inertia, self._debt], [self._recoil])
+        self._pay_debt(dt)
         film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self._recoil], [e.u, self.u_mid])
         self._find_motion(self.state.motion)
         self._sweep()
@@ -238,6 +238,24 @@ class FoamMembrane:
         film.launch_parts(ko.momentum_chunks, arrays, [self._solid, self._momentum])
         film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._fall])
         film.launch_e(kf.kick_foam_e, [e.normal, e.region, self._fall, dt], [e.u])
+
+    def _pay_debt(self, dt: float) -> None:
+        """Momentum that the foam gave itself in the solve, back to where it came from."""
+        film, e = self.film, self.state.e
+        whole = 0.5 * film.spacing**2 * film.n_e / film.regions
+        film.launch_parts(
+            kf.debt_chunks,
+            [
+                *(e.normal, self.geometry.area, self.cover, self.beyond, self._outer, self._mass, self.response.x),
+                *(self._debt, film.first, whole),
+            ],
+            [self._more],
+        )
+        film.launch_regions(
+            kf.pay_debt_r,
+            [self._more, self._inertia, self._touch, self.contact, self._patience(dt)],
+            [self._debt, self._recoil],
+        )
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
@@ -278,7 +296,9 @@ class FoamMembrane:
             [self._load],
         )
         film.launch_parts(kf.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum])
-        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._missing])
+        film.launch_parts(kf.touch_chunks, [e.x, self.contact, film.first], [self._touch])
+        arrays = [self._momentum, self._inertia, self._touch, self.contact]
+        film.launch_regions(kf.find_missing_r, arrays, [self._missing])
         film.launch_e(
             kf.load_foam_e,
             [
