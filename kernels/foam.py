@@ -182,6 +182,7 @@ def find_cover_e(
     contact: Contact,
     # outputs
     cover: wp.array(dtype=float),
+    faced: wp.array(dtype=float),
     beyond: wp.array(dtype=wp.int32),
 ):
     """How much of each E's sheet is one film with another region's: 1 in a partition and on a wall, 0 outside.
@@ -195,6 +196,7 @@ def find_cover_e(
         own: E of the same region.
         contact: constants.
         cover: [n_e] 0 to 1.
+        faced: [n_e] the same by other regions alone.
         beyond: [n_e] region of the E that covers most of it, -1 for none.
     """
     i = wp.tid()
@@ -212,6 +214,7 @@ def find_cover_e(
             most = a
             beyond[i] = region[j]
     held = wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
+    faced[i] = held
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
         level = wp.dot(inward, contact.point[k])
@@ -419,6 +422,7 @@ def press_wall(
     area: wp.array(dtype=float),
     push: float,
     inertia: float,
+    faced: float,
     own: Neighbors,
     wall: int,
     contact: Contact,
@@ -455,7 +459,7 @@ def press_wall(
             stiff += dt * dt * a * slope * ci * ci
     depth = MENISCUS * contact.range
     height = wp.clamp(wp.dot(inward, predicted[i]) - level, 0.0, depth)
-    suck = (area[i] * contact.cling * (1.0 - height / depth) / depth) * n
+    suck = (area[i] * (1.0 - faced) * contact.cling * (1.0 - height / depth) / depth) * n
     side = tangential(suck, inward)
     return total + suck - side, quiet + suck, side, stiff
 
@@ -470,6 +474,7 @@ def press_foam_e(
     region: wp.array(dtype=wp.int32),
     added: wp.array(dtype=float),
     push: wp.array(dtype=float),
+    faced: wp.array(dtype=float),
     facing: Neighbors,
     own: Neighbors,
     contact: Contact,
@@ -498,6 +503,7 @@ def press_foam_e(
         region: [n] region of each E.
         added: [regions] mass of the air that moves along, kg/m^2.
         push: [regions] pressure at gap 0, Pa.
+        faced: [n_e] share of each E that other regions cover: there is no meniscus there.
         facing: E of other regions near each E.
         own: E of the same region.
         contact: constants.
@@ -541,7 +547,9 @@ def press_foam_e(
             k += 1
     for w in range(contact.point.shape[0]):
         if wp.dot(contact.inward[w], at - contact.point[w]) < contact.reach:
-            wall, quiet_wall, side, stiff_wall = press_wall(i, x, predicted, normal, area, push[region[i]], inertia, own, w, contact, dt)
+            wall, quiet_wall, side, stiff_wall = press_wall(
+                i, x, predicted, normal, area, push[region[i]], inertia, faced[i], own, w, contact, dt
+            )
             total += wall
             quiet += quiet_wall
             drawn += side

@@ -32,11 +32,14 @@ CONTACT_ROOM = 96
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.02, float(__import__('os').environ.get('CAP','4'))
+BENT, CAP = 0.02, float(__import__("os").environ.get("CAP", "4"))
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
-PATIENCE = float(__import__('os').environ.get('PAT','10'))
+PATIENCE = float(__import__("os").environ.get("PAT", "10"))
 """Time in which force along bent sheets is passed on, in those of a wave across a spacing."""
+
+MOST = 0.5
+"""Most force that an E takes over from its neighbours, in sigma times the spacing."""
 
 EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
@@ -109,7 +112,7 @@ class FoamMembrane:
         self.fields, self.forces = fields, forces
         n = film.n_e
         self.contact = make_contact(film)
-        self.cover, self.beyond = film.zeros(n), film.zeros(n, wp.int32)
+        self.cover, self._faced, self.beyond = film.zeros(n), film.zeros(n), film.zeros(n, wp.int32)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start = self.frame = state.motion
@@ -163,7 +166,7 @@ class FoamMembrane:
         film.launch_e(
             kf.find_cover_e,
             [x, e.normal, self.geometry.area, e.region, self.lists.eo.rows, self.lists.ee.rows, self.contact],
-            [self.cover, self.beyond],
+            [self.cover, self._faced, self.beyond],
         )
 
     def nearest_regions(self) -> np.ndarray:
@@ -275,13 +278,13 @@ class FoamMembrane:
         film.launch_e(
             kf.press_foam_e,
             [
-                *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push),
+                *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push, self._faced),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
             [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
         )
         ee, vector = self.lists.ee.rows, geometry.vector
-        most = float(__import__('os').environ.get('MOST','1')) * 0.5 * self.contact.cling * film.spacing
+        most = float(__import__("os").environ.get("MOST", "1")) * 0.5 * self.contact.cling * film.spacing
         film.launch_e(
             kf.seek_normals_e,
             [
@@ -295,7 +298,9 @@ class FoamMembrane:
             [e.x, e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought, ee, film.r, most],
             [self._load],
         )
-        film.launch_parts(kf.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum])
+        film.launch_parts(
+            kf.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum]
+        )
         film.launch_parts(kf.touch_chunks, [e.x, self.contact, film.first], [self._touch])
         arrays = [self._momentum, self._inertia, self._touch, self.contact]
         film.launch_regions(kf.find_missing_r, arrays, [self._missing])
