@@ -137,6 +137,7 @@ class FoamMembrane:
         self._inertia, self._solid = film.parts(wp.mat33), film.parts(wp.mat33)
         self._momentum, self._more, self._touch = film.parts(wp.vec3), film.parts(wp.vec4), film.parts(wp.int32)
         self._swept = film.parts(wp.float64)
+        self._fresh = True
 
     def start_motion(self) -> None:
         """Take the air's mass from the volumes and the translations from the velocities, at the start of a run."""
@@ -157,8 +158,8 @@ class FoamMembrane:
         return 2.0 * self.contact.lag
 
     def _patience(self, dt: float) -> float:
-        """Share of what is passed on late that is passed on in a step."""
-        return -math.expm1(-dt / (PATIENCE * self.contact.lag))
+        """Share of what is passed on late that is passed on in a step; all of it in the first."""
+        return 1.0 if self._fresh else -math.expm1(-dt / (PATIENCE * self.contact.lag))
 
     def find_contacts(self, x: wp.array) -> None:
         """What is covered by other regions and walls with E at x."""
@@ -213,6 +214,7 @@ class FoamMembrane:
         self._pay_debt(dt)
         film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self._recoil], [e.u, self.u_mid])
         self._find_motion(self.state.motion)
+        self._fresh = False
         self._sweep()
         film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
 
