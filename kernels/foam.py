@@ -925,15 +925,69 @@ def apply_foam_e(
 
 
 @wp.kernel
-def confine_e(contact: Contact, x: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3)):
-    """Put E that have gone through a wall back onto it and stop them there. [n], m and m/s."""
+def recall_e(
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    reach: float,
+    leash: float,
+    contact: Contact,
+    # outputs
+    kept: wp.array(dtype=wp.vec3),
+    slowed: wp.array(dtype=wp.vec3),
+    turned: wp.array(dtype=wp.vec3),
+):
+    """Where E may be: inside the walls, no farther than `leash` from the mean of their neighbours, and facing as they do.
+
+    On the sharpest line that a sheet makes, a right angle, that distance is half a spacing and the normal is off by 45
+    degrees. An E that is pressed out of its sheet has no normal and no cell to be pulled back by.
+
+    Args:
+        x: [n] m.
+        u: [n] m/s.
+        normal: [n] unit normals.
+        rows: E:E neighbours.
+        reach: m.
+        leash: m.
+        contact: constants.
+        kept: [n_e] m.
+        slowed: [n_e] m/s.
+        turned: [n_e] unit normals.
+    """
     i = wp.tid()
+    p = x[i]
+    v = u[i]
+    n = normal[i]
+    total = float(0.0)
+    mean = wp.vec3()
+    flow = wp.vec3()
+    facing = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        w = kernel_w(wp.length(x[j] - p), reach)
+        total += w
+        mean += w * x[j]
+        flow += w * u[j]
+        facing += w * normal[j]
+    if total > 0.0:
+        away = p - mean / total
+        far = wp.length(away)
+        reversed = wp.dot(facing, n) < 0.0
+        if reversed:
+            n = wp.normalize(facing)
+        if far > leash or reversed:
+            p -= (1.0 - wp.min(leash / far, 0.5)) * away
+            v = flow / total
     for w in range(contact.point.shape[0]):
         inward = contact.inward[w]
-        height = wp.dot(x[i] - contact.point[w], inward)
+        height = wp.dot(p - contact.point[w], inward)
         if height < 0.0:
-            x[i] = x[i] - height * inward
-            u[i] = u[i] - wp.min(wp.dot(u[i], inward), 0.0) * inward
+            p -= height * inward
+            v -= wp.min(wp.dot(v, inward), 0.0) * inward
+    kept[i] = p
+    slowed[i] = v
+    turned[i] = n
 
 
 @wp.kernel

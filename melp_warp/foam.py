@@ -41,6 +41,9 @@ PATIENCE = float(__import__("os").environ.get("PAT", "10"))
 MOST = 0.5
 """Most force that an E takes over from its neighbours, in sigma times the spacing."""
 
+LEASH = 0.8
+"""Largest distance of an E from the mean of its neighbours, spacings."""
+
 EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
 
@@ -218,10 +221,14 @@ class FoamMembrane:
         self._sweep()
         film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
 
-    def confine(self) -> None:
-        """After the move: E stay inside the walls."""
-        if self.film.walls:
-            self.film.launch_e(kf.confine_e, [self.contact], [self.state.e.x, self.state.e.u])
+    def recall(self) -> None:
+        """After the move: E stay in their sheets and inside the walls."""
+        film, e, leash = self.film, self.state.e, LEASH * self.film.spacing
+        inputs = [e.x, e.u, e.normal, self.lists.ee.rows, film.r, leash, self.contact]
+        found = (self.predicted, self.force, self._rest)
+        film.launch_e(kf.recall_e, inputs, found)
+        for array, new in zip((e.x, e.u, e.normal), found, strict=True):
+            wp.copy(array, new, count=film.n_e)
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""
