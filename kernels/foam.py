@@ -387,7 +387,8 @@ def pull_foam_e(
         star: neighbours across the cell's edges.
         tie: [CORNERS n_e] their w_ij.
         dt: s.
-        force: [n_e] N.
+        force: [n_e] of sheets that move, N.
+        rest: [n_e] of sheets at rest, N.
         rows: coupled E, here those of the star.
         pair: coefficients, aligned with `rows`, kg.
     """
@@ -509,7 +510,9 @@ def press_foam_e(
         contact: constants.
         stride: room of a row.
         dt: s.
-        force: [n_e] N.
+        force: [n_e] of sheets that move, N.
+        rest: [n_e] of sheets at rest, with the menisci, N.
+        foot: [n_e] menisci's force along their walls, N.
         diag: [n_e] kg.
         rows: coupled E.
         pair: coefficients, aligned with `rows`, kg.
@@ -766,7 +769,7 @@ def kick_foam_e(
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
-    """Outside forces move each region as a whole by dt `fall` (m/s^2) before the solve, whose stiffness would resist."""
+    """Outside forces give each region a velocity dt `fall` before the solve, whose stiffness would resist. [n_e]."""
     i = wp.tid()
     n = normal[i]
     u[i] = u[i] + dt * wp.dot(fall[region[i]], n) * n
@@ -938,7 +941,7 @@ def recall_e(
     slowed: wp.array(dtype=wp.vec3),
     turned: wp.array(dtype=wp.vec3),
 ):
-    """Where E may be: inside the walls, no farther than `leash` from the mean of their neighbours, and facing as they do.
+    """Where E may be: inside the walls, at most `leash` from the mean of their neighbours, and facing as they do.
 
     On the sharpest line that a sheet makes, a right angle, that distance is half a spacing and the normal is off by 45
     degrees. An E that is pressed out of its sheet has no normal and no cell to be pulled back by.
@@ -1052,14 +1055,18 @@ def exchange_l(
     facing: Neighbors,
     reach: float,
     gamma: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
     region: wp.array(dtype=wp.int32),
     seed: int,
     chance: float,
     dt: float,
     # outputs
     region_l: wp.array(dtype=wp.int32),
+    eta_l: wp.array(dtype=float),
 ):
     """Let L change to the region across the partition with the probabilities (27) and (28). They keep all they carry.
+
+    Their thickness is that of the film they come to: it says how thick the film is where they are.
 
     Args:
         x_l: [n_l] m.
@@ -1071,11 +1078,13 @@ def exchange_l(
         facing: E of other regions near each E.
         reach: distance within which a film is shared, m.
         gamma: [n_e] relative surfactant concentration.
+        eta: [n_e] thickness, m.
         region: [n] region of each E.
         seed: differs from call to call.
         chance: psi_1 = psi_2, the largest value of each of the two.
         dt: step that (27) looks ahead, s.
         region_l: [n_l] region of each L.
+        eta_l: [n_l] m.
     """
     i = wp.tid()
     p = x_l[i]
@@ -1091,3 +1100,4 @@ def exchange_l(
         draw = wp.randf(wp.rand_init(seed, number[i]))
         if draw < chance * (toward + thinner):
             region_l[i] = region[j]
+            eta_l[i] = eta[j]

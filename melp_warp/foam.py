@@ -85,10 +85,10 @@ class Exchange:
             [
                 *(lag.x, lag.v, self.lists.le.rows, self._number),
                 *map(Shared, (e.x, e.normal, self.lists.eo.rows)),
-                *(PARTNER_REACH * film.spacing, Shared(self.fields.gamma), Shared(e.region)),
+                *(PARTNER_REACH * film.spacing, *map(Shared, (self.fields.gamma, self.fields.eta, e.region))),
                 *(film.seed + round(240.0 * self._last), chance, dt),
             ],
-            [lag.region],
+            [lag.region, lag.eta],
         )
 
 
@@ -157,7 +157,7 @@ class FoamMembrane:
 
     @property
     def longest_step(self) -> float:
-        """Step in which what moves along bent sheets is still followed, s: two times that of a wave across a spacing."""
+        """Step in which what moves along bent sheets is still followed, s: two times of a wave across a spacing."""
         return 2.0 * self.contact.lag
 
     def _patience(self, dt: float) -> float:
