@@ -21,7 +21,7 @@ def smooth_drift_e(
     smoothed: wp.array(dtype=wp.vec3),
 ):
     """XSPH smoothing of the tangential E velocity (section 4.8). [n_e], m/s."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     total = kernel_w(0.0, r)
     mean = total * drift[i]
@@ -104,7 +104,7 @@ def project_l(
         n_e: number of E.
         x_l: [n_l] m.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i]
     total = float(0.0)
     shift = wp.vec3()

@@ -125,7 +125,7 @@ def voronoi_cell_e(
         star: the neighbours that the cell's edges are shared with, in order around it; null where nobody asks.
         weight: [CORNERS n_e] edge over distance of those neighbours: w_ij of the Laplacian sum_j w_ij (f_j - f_i).
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     n = normal[i]
     e1, e2 = tangent_basis(n)
@@ -196,7 +196,7 @@ def control_area_e(
     The weights are those of (6), so that an even film is transferred to an even eta_E = V_E/a_E; the integral is
     taken over the Voronoi cells and sums to their area.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     total = kernel_w(0.0, r) * cell[i] / density_inner[i]
     for k in range(rows.start[i], rows.stop[i]):

@@ -35,7 +35,7 @@ def orient_frames_e(
         r: support radius, m.
         normal: [n_e] unit normals, previous in, new out.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     scale = 3.0 / r
     total = kernel_w(0.0, 3.0)
@@ -131,7 +131,7 @@ def fit_surface_e(
         kappa: [n_e] sum of principal curvatures, 1/m.
         gradient: [pairs] see `write_gradient`.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = normal[i]
     low, c = fit_height(i, x, n, rows, r, x.shape[0])
     surface[i] = make_quadric(c, n, r / 3.0)
@@ -163,7 +163,7 @@ def sharpen_normal_e(
         r: support radius, m.
         normal: [n_e] unit normals.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     slope = wp.vec3()
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
@@ -193,7 +193,7 @@ def fit_inner_gradient_e(
         n_e: number of E; particles from here on are boundary.
         gradient: [pairs] see `write_gradient`; zero for boundary neighbours.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = surface[i].normal
     low, c = fit_height(i, x, n, rows, r, n_e)
     write_gradient(i, x, n, rows, r, n_e, low, c, gradient)
@@ -209,7 +209,7 @@ def curvature_mls_e(
     kappa: wp.array(dtype=float),
 ):
     """Sum of principal curvatures by a quadratic fit, full formula of (10). [n_e], 1/m."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     _low, c = fit_height(i, x, normal[i], rows, r, x.shape[0])
     kappa[i] = fitted_curvature(c, r / 3.0)
 
@@ -227,7 +227,7 @@ def curvature_sph_e(
     kappa: wp.array(dtype=float),
 ):
     """Sum of principal curvatures as the SPH Laplacian of the height, (10) with (21). [n_e], 1/m."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     n = normal[i]
     total = float(0.0)
@@ -256,7 +256,7 @@ def density_e(
     The kernel takes the 3D distance: the area within a chord s of a point of a sphere is pi s^2 exactly, so the
     density is free of the curvature error that distances in the tangent plane bring.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     inner = kernel_w(0.0, r)
     outer = float(0.0)
@@ -286,7 +286,7 @@ def pair_weights_e(
 
     Boundary particles, of index n_e on, have the area `rim_area`.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]

@@ -65,7 +65,7 @@ def invert_diagonal(
     inverse: wp.array(dtype=float),
 ):
     """1/A_ii, the Jacobi preconditioner. [n]."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     total = float(0.0)
     for k in range(rows.start[i], rows.stop[i]):
         total += pair[k]
@@ -88,7 +88,7 @@ def start_residual(
     p: wp.array(dtype=Any),
 ):
     """r = b - A x, z = r/A_ii, p = z."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     ri = b[i] - apply_row(i, x, diag, pair, scale[0], rows)
     r[i] = ri
     zi = inverse[i] * ri
@@ -107,7 +107,7 @@ def apply_operator(
     y: wp.array(dtype=Any),
 ):
     """y = A x. [n]."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     y[i] = apply_row(i, x, diag, pair, scale[0], rows)
 
 
@@ -237,7 +237,7 @@ def sweep_jacobi(
     next_x: wp.array(dtype=Any),
 ):
     """One relaxed Jacobi sweep (Appendix B), with the residual it started from."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     ri = b[i] - apply_row(i, x, diag, pair, scale[0], rows)
     r[i] = ri
     z[i] = inverse[i] * ri
@@ -314,7 +314,7 @@ def apply_shifted(
     q: wp.array(dtype=float),
 ):
     """q = (D + p_0) p with D = -area^-1/2 (a_i a_j K_ij Laplacian) area^-1/2, the negative surface Laplacian."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     si = 1.0 / wp.sqrt(area[i])
     pi = p[i] * si
     total = float(0.0)

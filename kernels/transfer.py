@@ -51,7 +51,7 @@ def normalize_l(
         slope: [n_l] m C/alpha.
         lost: [n_l] 1 for an L that no E is near to.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i]
     total = float(0.0)
     mean = wp.vec3()
@@ -105,7 +105,7 @@ def gather_l_to_e(
         claim_e: [n_e] area that the L take up at their thickness, m^2.
         momentum_e: [n_e] kg m/s.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_e[i]
     total = wp.vec3()
     moving = wp.vec3()
@@ -185,7 +185,7 @@ def gather_e_to_l(
         normal_l: [n_l] unit normals.
         eta_l: [n_l] m.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i]
     total = float(0.0)
     growth = float(0.0)
@@ -285,7 +285,7 @@ def interpolate_velocity_l(
 
     The path is that along the film and relative to the film as a whole: E have not moved yet.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i] + half_dt * tangential(v_l[i] - frame[region[i]], normal_l[i])
     total = float(0.0)
     first = wp.vec3()

@@ -10,7 +10,6 @@ from melp_warp.kernels import advance as ka
 from melp_warp.kernels import boundary as kb
 from melp_warp.kernels import redistribute as kr
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import Shared
 from melp_warp.linear import ConjugateGradient, LinearOperator
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
@@ -116,8 +115,8 @@ class LagrangianAdvance:
                 lag.region,
                 frame,
                 0.5 * dt,
-                Shared(x_e),
-                Shared(self.state.e.u),
+                x_e,
+                self.state.e.u,
                 self.lists.le.rows,
                 film.r,
                 film.n_e,
@@ -135,7 +134,7 @@ class LagrangianAdvance:
         if film.rim is not None:
             film.launch_l(
                 kb.confine_l,
-                [Shared(film.rim.anchors), Shared(film.rim.outward), self.lists.le.rows, film.n_e],
+                [film.rim.anchors, film.rim.outward, self.lists.le.rows, film.n_e],
                 [lag.x],
             )
 
@@ -145,7 +144,7 @@ class LagrangianAdvance:
         film.launch_l(
             ka.project_l,
             [
-                *(Shared(e.x), Shared(self.geometry.surface)),
+                *(e.x, self.geometry.surface),
                 *(self.lists.le.rows, PROJECTION_REACH * film.spacing, film.n_e),
             ],
             [self.state.l.x],

@@ -50,7 +50,7 @@ class _Solver:
         self.control = wp.array([tolerance, math.ceil(max_iterations / stride)], dtype=wp.float32, device=device)
         self.part_a = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
         self.part_b = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
-        self._run = Recorded(self._body, device)
+        self._run = Recorded(self._body, device, n)
 
     def _launch(self, kernel, inputs, outputs=(), dim=None):
         launch(kernel, self.n if dim is None else dim, inputs, outputs, self.device)

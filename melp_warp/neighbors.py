@@ -9,7 +9,7 @@ from melp_warp.errors import SimulationError
 from melp_warp.film import Film
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import neighbors as kn
-from melp_warp.launch import Shared, launch, launch_rows
+from melp_warp.launch import launch
 from melp_warp.state import State
 
 GRID_CELLS = 64
@@ -82,11 +82,7 @@ class NeighborList:
     def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
         of_x, of_source = self.regions
-        if self.pick == kn.ALL:
-            spread, source, of_source = launch_rows, Shared(source), Shared(of_source)
-        else:
-            spread = launch
-        spread(
+        launch(
             kn.fill_neighbors,
             self.n,
             [grid.id, x, source, self.radius, of_x, of_source, self.pick, self.stride],

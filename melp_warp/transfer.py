@@ -9,7 +9,7 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import Shared, launch_rows
+from melp_warp.launch import launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
@@ -47,12 +47,15 @@ class Transfer:
         """The sums of (6) and (7) alone."""
         film, e = self.film, self.state.e
         self.normalize()
-        launch_rows(
+        launch(
             kt.gather_l_to_e,
             film.n_e,
             [
                 *(e.x[: film.n_e], self.lists.el.rows, film.r),
-                *map(Shared, (self.state.l.x, self.share, self.given, self.slope)),
+                self.state.l.x,
+                self.share,
+                self.given,
+                self.slope,
             ],
             [e.mass, e.surfactant, self.claim, self.momentum],
             film.device,
@@ -66,7 +69,7 @@ class Transfer:
             kt.normalize_l,
             [
                 *(lag.x, lag.u, lag.affine, lag.mass, lag.surfactant, lag.eta),
-                *(Shared(self.state.e.x), self.lists.le.rows, film.r, film.n_e, film.material.density),
+                *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
             ],
             [self.weight, self.share, self.given, self.slope, self.lost],
         )
@@ -94,7 +97,7 @@ class Transfer:
         film.launch_l(
             kt.gather_e_to_l,
             [
-                *(lag.x, *map(Shared, (e.x, e.u, e.normal, self.growth, self.weight))),
+                *(lag.x, e.x, e.u, e.normal, self.growth, self.weight),
                 self.lists.le.rows,
             ],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],

@@ -23,7 +23,7 @@ import warp as wp
 from melp_warp import __version__
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.sph import kernel_w
-from melp_warp.launch import THREADS, Shared, launch, launch_rows
+from melp_warp.launch import THREADS, launch
 from melp_warp.material import Material
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
@@ -45,7 +45,7 @@ def gather_bare(
     total: wp.array(dtype=float),
 ):
     """One weighted sum over the list, weights recomputed: the least that an SPH pass does."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     s = float(0.0)
     for k in range(rows.start[i], rows.stop[i]):
@@ -92,10 +92,7 @@ def time_gather(sim: Simulation, repeats: int) -> float:
     for _ in range(repeats + 1):
         began = time.perf_counter()
         for (one, x, n), total in zip(jobs, sums, strict=True):
-            if one is lists.le:
-                launch_rows(gather_bare, n, [x, Shared(state.e.x), one.rows, film.r], [total], sim.device)
-            else:
-                launch(gather_bare, n, [x, state.e.x, one.rows, film.r], [total], sim.device)
+            launch(gather_bare, n, [x, state.e.x, one.rows, film.r], [total], sim.device)
         wp.synchronize_device(sim.device)
         times.append(1e3 * (time.perf_counter() - began))
     return statistics.median(times[1:])
