@@ -34,6 +34,7 @@ class EulerianAdvance:
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.x_old = wp.clone(state.e.x)
         self._smoothed = film.zeros(film.n_e, wp.vec3)
+        self._near = film.zeros(lists.ee.rows.index.shape[0])
 
     def advance(self, u_mid: wp.array, frame: wp.array, dt: float) -> None:
         """Move E with the normal velocity, their drift and the film as a whole (19)."""
@@ -42,7 +43,7 @@ class EulerianAdvance:
         film.launch_e(
             ka.smooth_drift_e,
             [e.x, e.drift, self.lists.ee.rows, film.r, film.n_e, film.numerics.xsph],
-            [self._smoothed],
+            [self._near, self._smoothed],
         )
         wp.copy(e.drift, self._smoothed)
         film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, e.region, frame, dt], [e.x])

@@ -16,7 +16,7 @@ from melp_warp.kernels.neighbors import Neighbors
 THREADS = int(os.environ.get("MELP_WARP_THREADS", "0")) or os.cpu_count() or 1
 """CPU threads that share a launch. Results do not depend on it."""
 
-ROWS_A_THREAD = 512
+ROWS_A_THREAD = 1024
 """Fewest rows of neighbours worth a CPU thread."""
 
 ENTRIES_A_THREAD = 16384
