@@ -10,9 +10,13 @@ from melp_warp.kernels.neighbors import Neighbors
 
 wp.set_module_options({"enable_backward": False})
 
+vec8 = wp.types.vector(length=8, dtype=wp.float32)
 vec10 = wp.types.vector(length=10, dtype=wp.float32)
 vec17 = wp.types.vector(length=17, dtype=wp.float32)
+vec12 = wp.types.vector(length=12, dtype=wp.float32)
+vec16 = wp.types.vector(length=16, dtype=wp.float32)
 mat53 = wp.types.matrix(shape=(5, 3), dtype=wp.float32)
+mat58 = wp.types.matrix(shape=(5, 8), dtype=wp.float32)
 
 LOOP = """
 #if !defined(__CUDA_ARCH__)
@@ -22,6 +26,13 @@ LOOP = """
     for (int k = first; k < last; ++k)
 """
 """A loop over the neighbours of row i that may be summed in any order."""
+
+LANES = """
+#if !defined(__CUDA_ARCH__)
+#pragma clang loop vectorize_width(8) interleave_count(1) unroll(disable)
+#endif
+"""
+"""Before a loop over components, eight at once."""
 
 ROW = """
     const int* index = rows.index.data;
@@ -215,4 +226,97 @@ def weigh_row_laplacian(
     weight: wp.array(dtype=float),
 ):
     """weight_k = a_i a_j `sph.laplacian_weight`(|x_j - x_i|, r); from index `limit` on a_j is `rim_area`."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)source.data;
+    const float* packs = (const float*)pack.data;
+    const float px = p[0], py = p[1], pz = p[2], scale = 3.0f / r, unit = scale * scale;
+    const int limit = source.shape[0];
+    const int room = 64;
+    float sums[16] = {{}}, turned[4] = {{}}, ws[room], xs[room], ys[room], zs[room];
+    for (int begin = first; begin < last; begin += room)
+    {{
+        const int count = last - begin < room ? last - begin : room;
+        {{{LOOP.replace("int k = first; k < last; ++k", "int m = 0; m < count; ++m")}
+        {{
+            const int k = begin + m;
+            {OFFSET}{WEIGHT}
+            ws[m] = unit * w;
+            xs[m] = dx / -scale;
+            ys[m] = dy / -scale;
+            zs[m] = dz / -scale;
+        }}
+        }}
+        for (int m = 0; m < count; ++m)
+        {{
+            const float* row = packs + 16 * (size_t)index[begin + m];
+            float t[16];
+            for (int c = 0; c < 16; ++c)
+                t[c] = ws[m] * row[c];
+            for (int c = 0; c < 16; ++c)
+                sums[c] += t[c];
+            for (int c = 0; c < 4; ++c)
+                turned[c] += xs[m] * t[4 + c] + ys[m] * t[8 + c] + zs[m] * t[12 + c];
+        }}
+    }}
+    wp::vec_t<8, float> total;
+    for (int c = 0; c < 3; ++c)
+        total[c] = sums[c] + turned[c];
+    for (int c = 0; c < 3; ++c)
+        total[3 + c] = sums[3 + 4 * c];
+    return total;
+""")
+def gather_row(
+    i: int, p: wp.vec3, source: wp.array(dtype=wp.vec3), pack: wp.array(dtype=vec16), rows: Neighbors, r: float
+) -> vec8:
+    """sum_j W(|d|, r) (m_j + S_j d, s_j) with d = p - source_j, three sums each.
+
+    A pack is (m, s_0, S_x, s_1, S_y, s_2, S_z, -) with S_x, S_y, S_z the columns of S.
+    """
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* packs = (const float*)pack.data;
+    const float* weights = weight.data;
+    const float origin[8] = {{p[0], p[1], p[2]}};
+    float r0[8] = {{}}, rx[8] = {{}}, ry[8] = {{}}, rz[8] = {{}}, n[4] = {{}};
+    for (int k = first; k < last; ++k)
+    {{
+        const float* row = packs + 12 * (size_t)index[k];
+        const float w = weights[k];
+        const float wx = w * (row[0] - origin[0]), wy = w * (row[1] - origin[1]), wz = w * (row[2] - origin[2]);
+{LANES}
+        for (int c = 0; c < 8; ++c)
+        {{
+            const float q = row[c] - origin[c];
+            r0[c] += w * q;
+            rx[c] += wx * q;
+            ry[c] += wy * q;
+            rz[c] += wz * q;
+        }}
+        for (int c = 0; c < 4; ++c)
+            n[c] += w * row[8 + c];
+    }}
+    wp::mat_t<5, 8, float> sums;
+    for (int c = 0; c < 8; ++c)
+    {{
+        sums.data[0][c] = r0[c];
+        sums.data[1][c] = rx[c];
+        sums.data[2][c] = ry[c];
+        sums.data[3][c] = rz[c];
+    }}
+    for (int c = 0; c < 4; ++c)
+        sums.data[4][c] = n[c];
+    return sums;
+""")
+def moment_row(
+    i: int, p: wp.vec3, pack: wp.array(dtype=vec12), weight: wp.array(dtype=float), rows: Neighbors
+) -> mat58:
+    """sum_k weight_k (1, d) x (d, a, 1, b) in rows 0 to 3, with d = position - p, and sum_k weight_k c in row 4.
+
+    A pack is (position, a, 1, b, c, -), with vectors a and c.
+    """
     ...
