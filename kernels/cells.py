@@ -143,14 +143,10 @@ def voronoi_cell_e(
                 v = wp.dot(d, e2)
                 z = wp.dot(d, n)
                 half = 0.5 * (u * u + v * v + 0.444 * z * z)
-                beyond = float(0.0)
+                cell, count = clip_cell(cell, count, u, v, half, float(k - rows.start[i]))
+                reach = float(0.0)
                 for m in range(count):
-                    beyond = wp.max(beyond, cell[0, m] * u + cell[1, m] * v - half)
-                if beyond > 0.0:
-                    cell, count = clip_cell(cell, count, u, v, half, float(k - rows.start[i]))
-                    reach = float(0.0)
-                    for m in range(count):
-                        reach = wp.max(reach, cell[0, m] * cell[0, m] + cell[1, m] * cell[1, m])
+                    reach = wp.max(reach, cell[0, m] * cell[0, m] + cell[1, m] * cell[1, m])
     flat = float(0.0)
     first = wp.vec2()
     uu = float(0.0)

@@ -129,15 +129,10 @@ def dot_chunks(a: wp.array(dtype=Any), b: wp.array(dtype=Any), n: int, partial: 
     """Dot product of the first n entries in as many parts as there are threads, each summed in order."""
     c = wp.tid()
     size = (n + partial.shape[0] - 1) // partial.shape[0]
-    stop = wp.min(n, (c + 1) * size)
-    even = float(0.0)
-    odd = float(0.0)  # two sums, so that one addition need not wait for the other
-    for i in range(c * size, stop - 1, 2):
-        even += inner(a[i], b[i])
-        odd += inner(a[i + 1], b[i + 1])
-    if c * size < stop and (stop - c * size) % 2 == 1:
-        even += inner(a[stop - 1], b[stop - 1])
-    partial[c] = even + odd
+    total = float(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += inner(a[i], b[i])
+    partial[c] = total
 
 
 @wp.kernel
