@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 
 import warp as wp
 
@@ -129,6 +130,17 @@ def _neighbors(start: wp.array, stop: wp.array, index: wp.array, first: int) -> 
     rows = Neighbors()
     rows.start, rows.stop, rows.index, rows.first = start, stop, index, first
     return rows
+
+
+def compile_kernels(names: Iterable[str], device) -> None:
+    """Compile kernel files side by side, as far as the cache lacks them, and not one by one at their first launch.
+
+    Args:
+        names: modules of `melp_warp.kernels`.
+        device: where they are to run.
+    """
+    modules = [wp.get_module(import_module(f"melp_warp.kernels.{name}").__name__) for name in names]
+    wp.force_load(device, modules, max_workers=THREADS)
 
 
 class Recorded:
