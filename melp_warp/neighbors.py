@@ -157,7 +157,8 @@ class NeighborLists:
         self._part = film.parts()
         self.builds = [1, 1]
 
-    def _build_e(self) -> None:
+    def rebuild_e(self) -> None:
+        """Fill the lists of E for the present positions; to be followed by `Geometry.update`."""
         x = self.state.e.x
         self._grid.build(x, self.reach)
         self.ee.build(self._grid, x, x)
@@ -179,14 +180,14 @@ class NeighborLists:
 
     def rebuild(self) -> None:
         """Fill all lists for the present positions; whatever is aligned with them must be made anew."""
-        self._build_e()
+        self.rebuild_e()
         if self.le is not None:
             self.rebuild_l()
 
     def update_e(self) -> None:
         """Rebuild the E:E list if pairs could be missing; to be followed by `Geometry.update`."""
         if 2.0 * self._read_travel()[0] > self.skin:
-            self._build_e()
+            self.rebuild_e()
 
     def update_l(self) -> None:
         """Rebuild the lists between E and L if pairs could be missing before the coming step ends."""

@@ -229,8 +229,10 @@ def _relax(scene: Scene, stepper: Stepper) -> None:
         points[: e.count] = scene.shape.project(points[: e.count].astype(np.float64))
         e.x.assign(points)
         e.drift.zero_()
-        stepper.lists.rebuild()
+        stepper.lists.rebuild_e()
         stepper.geometry.update()
+    if stepper.state.l is not None:
+        stepper.lists.rebuild_l()
 
 
 def _set_masses(scene: Scene, stepper: Stepper) -> None:
