@@ -30,7 +30,7 @@ from scaling import cores, halo, memory, series, start
 from melp_warp import __version__
 from melp_warp.cluster import Bubble, Cluster, e_spacing
 from melp_warp.launch import THREADS, launch
-from melp_warp.material import Material
+from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
@@ -69,7 +69,8 @@ def bubbles(count: int, e_count: int) -> Scene:
     places = list(product(range(side), repeat=3))[:count]
     pitch = 0.1 + e_spacing([0.05] * count, e_count)
     shape = Cluster(tuple(Bubble(tuple(pitch * c for c in place), 0.05) for place in places))
-    return Scene("bubbles", shape, e_count=e_count, dt=1e-3)
+    surroundings = Surroundings(damping=20.0, air="added_mass")
+    return Scene("bubbles", shape, e_count=e_count, dt=1e-3, surroundings=surroundings, numerics=Numerics(support=3.0))
 
 
 CASES = {
