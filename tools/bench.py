@@ -160,6 +160,7 @@ def machine(device: str) -> dict:
         "device": found.name if found.is_cuda else f"CPU, {platform.machine()}",
         "cores": os.cpu_count(),
         "threads": THREADS,
+        "load at the start": round(os.getloadavg()[0], 1),
         "warp": wp.__version__,
         "numpy": np.__version__,
         "melp_warp": __version__,
