@@ -12,11 +12,16 @@ ALL = wp.constant(2)
 
 @wp.struct
 class Neighbors:
-    """Row i holds index[start[i]:stop[i]]."""
+    """Row i holds index[start[i]:stop[i]].
+
+    A kernel whose row is `rows.first + wp.tid()` and that writes that row alone is shared by CPU cores, see
+    `melp_warp.launch`: each is given its own `first`, which is 0 elsewhere.
+    """
 
     start: wp.array(dtype=wp.int32)
     stop: wp.array(dtype=wp.int32)
     index: wp.array(dtype=wp.int32)
+    first: int
 
 
 @wp.kernel
@@ -39,7 +44,7 @@ def fill_neighbors(
     points of the same set and region but not the point itself, OTHER for those of other regions, and ALL for the same
     region of another set; a null `region` stands for a single one. Row starts are set beforehand.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     first = rows.start[i]
     n = int(0)

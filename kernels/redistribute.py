@@ -97,7 +97,7 @@ def shift_e(
         u_new: [n_e] velocity at the place moved to, m/s.
         drift_new: [n_e] drift with the shift's own velocity added (Algorithm 5, line 13), m/s.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = normal[i]
     shift = -strength * tangential(gradient_at(i, pressure, rows, gradient), n)
     size = wp.length(shift)

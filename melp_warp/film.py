@@ -109,11 +109,11 @@ class Film:
         return self.zeros(self.regions * max(4, CHUNKS // self.regions), dtype)
 
     def launch_e(self, kernel, inputs, outputs=()) -> None:
-        """One thread an E."""
+        """One thread an E; kernels over neighbours are shared by CPU cores."""
         launch(kernel, self.n_e, inputs, outputs, self.device)
 
     def launch_l(self, kernel, inputs, outputs=()) -> None:
-        """One thread an L; L touch their own entries alone, so CPU cores share them."""
+        """One thread an L; L write their own entries alone, so CPU cores share them."""
         launch_rows(kernel, self.n_l, inputs, outputs, self.device)
 
     def launch_parts(self, kernel, inputs, outputs=()) -> None:

@@ -9,7 +9,7 @@ from melp_warp.errors import SimulationError
 from melp_warp.film import Film
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import neighbors as kn
-from melp_warp.launch import Shared, launch, launch_rows
+from melp_warp.launch import launch
 from melp_warp.state import State
 
 GRID_CELLS = 64
@@ -82,11 +82,7 @@ class NeighborList:
     def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
         of_x, of_source = self.regions
-        if self.pick == kn.ALL:
-            spread, source, of_source = launch_rows, Shared(source), Shared(of_source)
-        else:
-            spread = launch
-        spread(
+        launch(
             kn.fill_neighbors,
             self.n,
             [grid.id, x, source, self.radius, of_x, of_source, self.pick, self.stride],
@@ -161,7 +157,8 @@ class NeighborLists:
         self._part = film.parts()
         self.builds = [1, 1]
 
-    def _build_e(self) -> None:
+    def rebuild_e(self) -> None:
+        """Fill the lists of E for the present positions; to be followed by `Geometry.update`."""
         x = self.state.e.x
         self._grid.build(x, self.reach)
         self.ee.build(self._grid, x, x)
@@ -183,14 +180,14 @@ class NeighborLists:
 
     def rebuild(self) -> None:
         """Fill all lists for the present positions; whatever is aligned with them must be made anew."""
-        self._build_e()
+        self.rebuild_e()
         if self.le is not None:
             self.rebuild_l()
 
     def update_e(self) -> None:
         """Rebuild the E:E list if pairs could be missing; to be followed by `Geometry.update`."""
         if 2.0 * self._read_travel()[0] > self.skin:
-            self._build_e()
+            self.rebuild_e()
 
     def update_l(self) -> None:
         """Rebuild the lists between E and L if pairs could be missing before the coming step ends."""

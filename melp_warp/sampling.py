@@ -12,6 +12,7 @@ from melp_warp.errors import InputError, require
 from melp_warp.features import Features
 from melp_warp.film import Film, RimArrays
 from melp_warp.kernels import transfer as kt
+from melp_warp.launch import compile_kernels
 from melp_warp.scene import Scene
 from melp_warp.shapes import Samples
 from melp_warp.state import GAS_SLOTS, EulerianState, LagrangianState, State, allocate
@@ -132,6 +133,7 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
         InputError: the scene cannot be sampled as asked.
     """
     features = Features.of(scene)
+    compile_kernels(features.kernels(), device)
     require(
         features.moving or features.lagrangian,
         "l_per_e",
@@ -227,8 +229,10 @@ def _relax(scene: Scene, stepper: Stepper) -> None:
         points[: e.count] = scene.shape.project(points[: e.count].astype(np.float64))
         e.x.assign(points)
         e.drift.zero_()
-        stepper.lists.rebuild()
+        stepper.lists.rebuild_e()
         stepper.geometry.update()
+    if stepper.state.l is not None:
+        stepper.lists.rebuild_l()
 
 
 def _set_masses(scene: Scene, stepper: Stepper) -> None:

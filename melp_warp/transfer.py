@@ -9,7 +9,8 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import Shared, launch_rows
+from melp_warp.kernels.rows import vec12, vec16
+from melp_warp.launch import launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
@@ -31,8 +32,7 @@ class Transfer:
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.weight = film.zeros(lists.le.rows.index.shape[0])
-        self.share, self.given = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l, wp.vec3)
-        self.slope = film.zeros(film.n_l, wp.mat33)
+        self._given, self._pack = film.zeros(film.n_l, vec16), film.zeros(film.total, vec12)
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
@@ -47,12 +47,12 @@ class Transfer:
         """The sums of (6) and (7) alone."""
         film, e = self.film, self.state.e
         self.normalize()
-        launch_rows(
+        launch(
             kt.gather_l_to_e,
             film.n_e,
             [
                 *(e.x[: film.n_e], self.lists.el.rows, film.r),
-                *map(Shared, (self.state.l.x, self.share, self.given, self.slope)),
+                *(self.state.l.x, self._given),
             ],
             [e.mass, e.surfactant, self.claim, self.momentum],
             film.device,
@@ -66,9 +66,9 @@ class Transfer:
             kt.normalize_l,
             [
                 *(lag.x, lag.u, lag.affine, lag.mass, lag.surfactant, lag.eta),
-                *(Shared(self.state.e.x), self.lists.le.rows, film.r, film.n_e, film.material.density),
+                *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
             ],
-            [self.weight, self.share, self.given, self.slope, self.lost],
+            [self.weight, self._given, self.lost],
         )
 
     def e_to_l(self, dilation: wp.array, dt: float) -> None:
@@ -91,10 +91,11 @@ class Transfer:
     def gather_to_l(self) -> None:
         """The sums of (16)-(18), and the thickness of L grown by `growth`."""
         film, e, lag = self.film, self.state.e, self.state.l
+        launch(kt.pack_e, film.total, [e.x, e.u, e.normal, self.growth], [self._pack], film.device)
         film.launch_l(
             kt.gather_e_to_l,
             [
-                *(lag.x, *map(Shared, (e.x, e.u, e.normal, self.growth, self.weight))),
+                *(lag.x, self._pack, self.weight),
                 self.lists.le.rows,
             ],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],
