@@ -34,6 +34,9 @@ LEAST_CUT = 1.0 / 16.0
 LEAST_STEP = 0.3
 """Step at which a leap ends the run, in times in which the fastest wave crosses a spacing: the step is not to blame."""
 
+FASTEST = 100.0
+"""Speed of the liquid in a flat film that runs are made for, m/s: its waves may be slow."""
+
 MOST_ROOM = 12.0
 """Room of neighbour lists, over what they need when they are made, at which particles are taken to have clumped."""
 
@@ -173,7 +176,8 @@ class Simulation:
         if isinstance(error, LeapError):
             travel = float(self.stepper.lists.travel.numpy()[2:].max())
             self._cap = 0.5 * self._last_dt * min(1.0, max(self._reach / travel, LEAST_CUT))
-            return self._cap > LEAST_STEP * self.film.spacing / self._wave_speed
+            fastest = self._wave_speed if self.film.features.moving else max(self._wave_speed, FASTEST)
+            return self._cap > LEAST_STEP * self.film.spacing / fastest
         if isinstance(error, CrowdedError):
             self.film.room *= 2.0
             return self.film.room < MOST_ROOM
@@ -206,6 +210,8 @@ class Simulation:
         if not film.features.moving:  # areas were found from the L at the start
             self.stepper.geometry.set_area(area)
         kept.restore(self.state)
+        if self.has_l:
+            self.stepper.lists.rebuild_l()
         self._last_dt, self._step_limit = 0.0, 0.0
 
     def _recentre(self) -> None:
@@ -213,7 +219,7 @@ class Simulation:
         film, state = self.film, self.state
         if not film.features.closed or film.features.foam:
             return
-        away = state.e.x[:1].numpy()[0]
+        away = state.e.x[:1].numpy()[0].astype(np.float64)
         if np.abs(away).max() > 2.0 * FAR * film.radius:
             for x in (state.e.x, *([state.l.x] if state.l else [])):
                 launch(ka.shift_origin, x.shape[0], [wp.vec3(*away)], [x], self.device)
@@ -417,8 +423,12 @@ class Simulation:
     def _take(self, stored: dict[str, np.ndarray]) -> None:
         """Go on from the values of a state of these sizes."""
         self.state.load(stored)
-        self._renew()
+        self.renew()
+
+    def renew(self) -> None:
+        """Go on from the state as it is now, particles that were moved by hand included."""
         self._snapshot.save(self.state)
+        self._renew()
 
     def load_checkpoint(self, path: str | os.PathLike) -> None:
         """Go on from a checkpoint of the same scene.
