@@ -158,7 +158,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "exchange": _at_least_zero("1/s", "rate at which liquid crosses between films that touch", 1e5),
         "lift": Key("-", "share of the film's weight that a lighter gas inside carries (1 hovers)", -10.0, 10.0),
         # particles
-        "e_count": _count("Eulerian particles", 1, 10_000_000),
+        "e_count": _count("Eulerian particles", 12, 10_000_000),  # three supports' worth of the smallest support
         "l_per_e": _count("Lagrangian particles per Eulerian particle (0: none)", 0, 1000),
         "seed": _count("seed of everything random", 0, 2**31 - 1),
         # time

@@ -47,8 +47,8 @@ NOTES = """\
 * **A bubble inside another** is refused, as any overlap is: a region is what lies within one closed film, and the gas
   of the outer one would have to be the space between two.
 * **Random scenes** draw a third of their keys from the whole range of each, log-uniform where it spans decades; three
-  of four are made to go together (E enough for the support, tension left, ...). Each runs two frames and must keep every
-  number finite, mass, surfactant and the gas law, or be refused or stopped.
+  of four are made to go together (E enough for the support, tension left, ...). Each runs two frames and must keep
+  every number finite, mass, surfactant and the gas law, or be refused or stopped.
 
 ## What falls short
 

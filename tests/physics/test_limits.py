@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from melp_warp import limits
+from melp_warp.cluster import Cluster, Pop
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.material import Surroundings
 from melp_warp.numerics import Numerics
@@ -25,7 +26,7 @@ def test_extreme(case):
     assert verdict.outcome == case.expected, verdict.detail
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(12))
 def test_random_scene(seed):
     """Finite with mass, surfactant and gas kept, or refused or stopped with a message."""
     verdict = limits.run_random(seed)
@@ -33,7 +34,7 @@ def test_random_scene(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(16, 300))
+@pytest.mark.parametrize("seed", range(12, 300))
 def test_more_random_scenes(seed):
     """The same."""
     verdict = limits.run_random(seed)
@@ -147,3 +148,129 @@ def test_midpoint_rule_goes_over_to_backward_euler():
         membrane.solve(cfl * dx / wave)
         assert membrane.theta == pytest.approx(theta, abs=2e-3)
         assert membrane.theta_whole == 0.5
+
+
+def two_bubbles(*events: Pop) -> Scene:
+    numerics = Numerics(support=3.0, cfl=0.5)
+    shape = Cluster(limits.meeting(0.2, e_count=400), events=events)
+    return Scene("two", shape, 400, 2, numerics=numerics, surroundings=Surroundings(damping=20.0, air="added_mass"))
+
+
+def test_a_checkpoint_of_a_foam_goes_on_bit_for_bit(tmp_path):
+    """As for one film, over a pop."""
+    scene = two_bubbles(Pop(0.06, 0))
+    first, second = Simulation(scene), Simulation(scene)
+    for _ in range(2):
+        first.advance_frame()
+    first.save_checkpoint(tmp_path / "c.npz")
+    second.load_checkpoint(tmp_path / "c.npz")
+    for _ in range(3):
+        first.advance_frame()
+        second.advance_frame()
+    assert first.film.labels == second.film.labels == (1,)
+    one, two = first.state.numpy(), second.state.numpy()
+    for key in one:
+        np.testing.assert_array_equal(one[key], two[key], err_msg=key)
+
+
+def test_a_frame_that_fails_after_a_pop_goes_back_over_it(tmp_path, monkeypatch):
+    """The state is then that of the last good frame, the popped bubble there again and its end still to come."""
+    simulation = Simulation(two_bubbles(Pop(0.02, 0)))
+    simulation.advance_frame()
+    good, ids = simulation.state.numpy(), simulation.particles("e").ids
+    step = simulation.step
+
+    def fail_after_pop(dt):
+        if len(simulation.film.labels) == 1:
+            raise SimulationError("stage membrane: a fault")
+        step(dt)
+
+    monkeypatch.setattr(simulation, "step", fail_after_pop)
+    with pytest.raises(SimulationError, match=r"a fault, at 0\.03333 s in frame 2"):
+        simulation.advance_frame()
+    assert simulation.film.labels == (0, 1)
+    assert simulation.spilled == 0.0
+    for key, value in simulation.state.numpy().items():
+        np.testing.assert_array_equal(value, good[key], err_msg=key)
+    np.testing.assert_array_equal(simulation.particles("e").ids, ids)
+    simulation.save_checkpoint(tmp_path / "c.npz")
+    fresh = Simulation(simulation.scene)
+    fresh.load_checkpoint(tmp_path / "c.npz")
+    fresh.advance_frame()
+    assert fresh.film.labels == (1,)
+    assert fresh.frame == 2
+
+
+FAR_SCENE = """
+from melp_warp.parameters import declare
+from melp_warp.shapes import Sphere
+
+PARAMETERS = declare(e_count=300, l_per_e=2, frames=2, dt=1.0 / 60.0, radius=0.01)
+
+
+def build(p):
+    return p.scene("far", Sphere(p.radius, (1000.0, 0.0, 0.25)))
+"""
+
+
+def test_a_cache_far_from_the_origin(tmp_path):
+    """Points are the film's own, the prims are moved there in float64, the cache is sound, and one file too."""
+    from melp_warp import cli
+    from melp_warp.check import check_cache
+    from melp_warp.usd import flatten, frame_path, open_layer, origin_of, read_frame
+
+    path, out = tmp_path / "far.py", tmp_path / "out"
+    path.write_text(FAR_SCENE)
+    assert cli.main(["run", str(path), "--quiet", "--export", "both", "--preview", "--out", str(out)]) == 0
+    assert check_cache(out) == []
+    for prim in ("Film", "FilmE"):
+        frame = read_frame(out, 2, prim)
+        np.testing.assert_allclose(frame.origin, (1000.0, 0.0, 0.25), atol=1e-4)
+        assert np.abs(frame.points).max() < 0.0101
+        middle = frame.points.mean(axis=0, dtype=np.float64) + frame.origin
+        np.testing.assert_allclose(middle, (1000.0, 0.0, 0.25), atol=1e-4)
+    flat = open_layer(flatten(out, tmp_path / "one.usdc"))
+    assert origin_of(flat, "Film") == read_frame(out, 0).origin
+    # a frame that says another place than the root is found
+    layer = open_layer(frame_path(out, 1))
+    layer.GetAttributeAtPath("/World/Film.xformOp:translate").default = (1.0, 2.0, 3.0)
+    layer.Export(str(frame_path(out, 1)))
+    assert any("origin" in problem for problem in check_cache(out))
+
+
+def test_a_run_that_cannot_go_on_leaves_a_checkpoint_that_loads(tmp_path, capsys):
+    """The explicit scheme blows up: exit code 1, one line, the last good state on disk, ready to go on."""
+    from melp_warp import cli
+
+    out = tmp_path / "out"
+    settings = ["e_count=300", "l_per_e=2", "swirl=1.0", "scheme=explicit"]
+    assert cli.main(["run", "giant_bubble", "--quiet", "--frames", "5", "--out", str(out), "--set", *settings]) == 1
+    assert "checkpoint.npz" in capsys.readouterr().err
+    simulation = Simulation(small_giant(300, 2, swirl=1.0))
+    simulation.load_checkpoint(out / "checkpoint.npz")
+    limits.check_sound(simulation)
+    simulation.advance_frame()
+    limits.check_sound(simulation)
+
+
+@pytest.mark.parametrize("key", ["scheme", "curvature", "lift"])
+def test_a_foam_offers_no_key_that_it_ignores(key):
+    from melp_warp.registry import load_scene
+
+    parameters = load_scene("double_bubble").parameters
+    assert key not in parameters.keys
+    with pytest.raises(InputError, match=f"unknown key '{key}'"):
+        parameters.parse([f"{key}=1"])
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"numerics": Numerics(scheme="explicit")}, "scheme must be backward_euler for a foam"),
+        ({"numerics": Numerics(curvature="sph")}, "curvature must be left at mls for a foam"),
+        ({"surroundings": Surroundings(lift=1.0)}, "lift must be 0 for a foam"),
+    ],
+)
+def test_a_foam_refuses_what_it_ignores(given, words):
+    with pytest.raises(InputError, match=words):
+        Scene("foam", Cluster(limits.meeting(0.0)), 600, **given)
