@@ -64,8 +64,8 @@ def advance_e(
 
 
 @wp.kernel
-def shift_origin(shift: wp.vec3, x: wp.array(dtype=wp.vec3)):
-    """Measure positions from a place `shift` away. [n], m."""
+def shift_origin_e(shift: wp.vec3, x: wp.array(dtype=wp.vec3)):
+    """Measure positions, of E or of L, from a place `shift` away. [n], m."""
     i = wp.tid()
     x[i] = x[i] - shift
 

@@ -125,10 +125,11 @@ Event = Pop | Merge
 
 def _overlap(one: int, two: int, radius: float, other: float, depth: float) -> str:
     """What to say of two bubbles that overlap by `depth` (m)."""
-    if depth >= 2.0 * min(radius, other):
-        inner, outer = (one, two) if radius < other else (two, one)
-        return f"bubble {inner} must not lie inside bubble {outer}: a region is all that one closed film encloses"
-    return f"bubbles {one} and {two} must not overlap at the start, they do by {depth:.3g} m"
+    message = f"bubbles {one} and {two} must not overlap at the start, they do by {depth:.3g} m"
+    if depth < 2.0 * min(radius, other):
+        return message
+    inner, outer = (one, two) if radius < other else (two, one)
+    return f"{message}: {inner} lies inside {outer}, but a region is all that one closed film encloses"
 
 
 @dataclass(frozen=True)

@@ -175,7 +175,7 @@ class Simulation:
         """Ask for what an error calls for, smaller steps or more room; whether there is any left to give."""
         if isinstance(error, LeapError):
             travel = float(self.stepper.lists.travel.numpy()[2:].max())
-            self._cap = 0.5 * self._last_dt * min(1.0, max(self._reach / travel, LEAST_CUT))
+            self._cap = 0.5 * self._last_dt * max(self._reach / max(self._reach, travel), LEAST_CUT)
             fastest = self._wave_speed if self.film.features.moving else max(self._wave_speed, FASTEST)
             return self._cap > LEAST_STEP * self.film.spacing / fastest
         if isinstance(error, CrowdedError):
@@ -191,10 +191,11 @@ class Simulation:
     def _go_back(self, good: tuple) -> None:
         """Return to the last good frame, regions that changed since included."""
         room = self.film.room
-        self.film, self.stepper, self._snapshot, ids, self.spilled, events = good
-        self.film.room = room
+        film, stepper, snapshot, ids, self.spilled, events = good
+        film.room = room
         self._ids = dict(ids)
-        self.state = self.stepper.state
+        self._adopt(film, stepper)
+        self._snapshot = snapshot
         self._snapshot.restore(self.state)
         if self.events:
             self.events.back(events)
@@ -222,7 +223,7 @@ class Simulation:
         away = state.e.x[:1].numpy()[0].astype(np.float64)
         if np.abs(away).max() > 2.0 * FAR * film.radius:
             for x in (state.e.x, *([state.l.x] if state.l else [])):
-                launch(ka.shift_origin, x.shape[0], [wp.vec3(*away)], [x], self.device)
+                launch(ka.shift_origin_e, x.shape[0], [wp.vec3(*away)], [x], self.device)
             state.origin = state.origin + away
 
     def _until(self, end: float) -> float:
@@ -393,7 +394,7 @@ class Simulation:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-        self._renew()
+        self.renew()
 
     def _foam_record(self) -> dict[str, np.ndarray]:
         """What a checkpoint of a foam holds besides the state."""
@@ -428,6 +429,7 @@ class Simulation:
     def renew(self) -> None:
         """Go on from the state as it is now, particles that were moved by hand included."""
         self._snapshot.save(self.state)
+        self._cap = math.inf
         self._renew()
 
     def load_checkpoint(self, path: str | os.PathLike) -> None:

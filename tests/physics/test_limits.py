@@ -79,6 +79,19 @@ def test_a_frame_that_leaps_is_done_again():
     assert seen[-1]["surface_energy"] < seen[0]["surface_energy"]
 
 
+def test_strays_on_a_film_at_rest():
+    """One L off the film goes back to it, its liquid still there; many stop the run, though nothing moves."""
+    simulation = Simulation(Scene("still", Disc(0.05), 300, 4, dt=1.0 / 60.0))
+    mass = simulation.state.e.mass.numpy().sum()
+    limits.stray(0.0)(simulation)
+    simulation.advance_frame()
+    assert np.linalg.norm(simulation.particles("l").points[0]) < 0.05
+    assert simulation.state.e.mass.numpy().sum() == pytest.approx(mass, rel=1e-5)
+    limits.stray(0.1)(simulation)
+    with pytest.raises(SimulationError, match=r"stage neighbors: \d+ of \d+ L have no E within"):
+        simulation.advance_frame()
+
+
 def test_a_step_that_cfl_makes_too_small_stops_the_run():
     """More than 100,000 steps a frame are a run that never ends: it says so."""
     scene = Scene("fast", Disc(0.05), 300, 2, fps=0.01, dt=None)
