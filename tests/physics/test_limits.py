@@ -26,7 +26,7 @@ def test_extreme(case):
     assert verdict.outcome == case.expected, verdict.detail
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_scene(seed):
     """Finite with mass, surfactant and gas kept, or refused or stopped with a message."""
     verdict = limits.run_random(seed)
@@ -34,7 +34,7 @@ def test_random_scene(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12, 300))
+@pytest.mark.parametrize("seed", range(8, 300))
 def test_more_random_scenes(seed):
     """The same."""
     verdict = limits.run_random(seed)
@@ -234,7 +234,7 @@ def test_a_cache_far_from_the_origin(tmp_path):
 
     path, out = tmp_path / "far.py", tmp_path / "out"
     path.write_text(FAR_SCENE)
-    assert cli.main(["run", str(path), "--quiet", "--export", "both", "--preview", "--out", str(out)]) == 0
+    assert cli.main(["run", str(path), "--quiet", "--export", "both", "--out", str(out)]) == 0
     assert check_cache(out) == []
     for prim in ("Film", "FilmE"):
         frame = read_frame(out, 2, prim)
