@@ -34,6 +34,9 @@ LEAST_CUT = 1.0 / 16.0
 LEAST_STEP = 0.3
 """Step at which a leap ends the run, in times in which the fastest wave crosses a spacing: the step is not to blame."""
 
+MOST_STEPS_AGAIN = 2000
+"""Steps to which a frame that leaps is cut: one that wants more wants a smaller dt, or another scene."""
+
 FASTEST = 100.0
 """Speed of the liquid in a flat film that runs are made for, m/s: its waves may be slow."""
 
@@ -177,7 +180,8 @@ class Simulation:
             travel = float(self.stepper.lists.travel.numpy()[2:].max())
             self._cap = 0.5 * self._last_dt * max(self._reach / max(self._reach, travel), LEAST_CUT)
             fastest = self._wave_speed if self.film.features.moving else max(self._wave_speed, FASTEST)
-            return self._cap > LEAST_STEP * self.film.spacing / fastest
+            least = LEAST_STEP * self.film.spacing / fastest
+            return self._cap > max(least, 1.0 / (self.scene.fps * MOST_STEPS_AGAIN))
         if isinstance(error, CrowdedError):
             self.film.room *= 2.0
             return self.film.room < MOST_ROOM

@@ -36,7 +36,7 @@ NOTES = """\
 * **A frame that leaps is done again.** Where a particle moves more than 0.3 of the film's radius in a step, relative to
   the film as a whole, the frame is done again in steps that are at most half as long, and neighbour lists that overflow
   get twice the room. The run stops where that would ask for steps in which the fastest wave crosses less than 0.3
-  spacings: then the step is not to blame. The scheme `explicit` is left to its user.
+  spacings, when the step is not to blame, or for over 2,000 steps a frame. The scheme `explicit` is left to its user.
 * **Far from the origin** positions are measured from the film: float32 resolves 6e-5 m at 1 km. A bubble that flies
   takes its origin along. USD prims carry the place as a translation, checkpoints as `origin`.
 * **An L that has lost the film** is put onto the nearest E, with its liquid; where over 1 % of the L are lost at once
