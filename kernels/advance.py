@@ -64,6 +64,13 @@ def advance_e(
 
 
 @wp.kernel
+def shift_origin_e(shift: wp.vec3, x: wp.array(dtype=wp.vec3)):
+    """Measure positions, of E or of L, from a place `shift` away. [n], m."""
+    i = wp.tid()
+    x[i] = x[i] - shift
+
+
+@wp.kernel
 def advance_l(
     v: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),

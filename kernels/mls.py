@@ -10,6 +10,9 @@ from melp_warp.kernels.sph import tangent_basis
 
 wp.set_module_options({"enable_backward": False})
 
+STEEPEST = wp.constant(4.0)
+"""Largest curvature that a fit may give, in 1/h = 3/r: clumped or collinear particles make it up."""
+
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 mat55 = wp.types.matrix(shape=(5, 5), dtype=wp.float32)
 
@@ -97,12 +100,15 @@ def slope_normal(c: vec5, n: wp.vec3) -> wp.vec3:
 
 @wp.func
 def fitted_curvature(c: vec5, h: float) -> float:
-    """Sum of principal curvatures kappa of z = c.b at the origin, signed along the normal (sphere: -2/R). 1/m."""
+    """Sum of principal curvatures kappa of z = c.b at the origin, signed along the normal (sphere: -2/R). 1/m.
+
+    At most `STEEPEST`/h, a radius of half an h, which no spacing resolves.
+    """
     zx = c[0]
     zy = c[1]
     g = 1.0 + zx * zx + zy * zy
     top = (1.0 + zy * zy) * (2.0 * c[2]) - 2.0 * zx * zy * c[3] + (1.0 + zx * zx) * (2.0 * c[4])
-    return top / (g * wp.sqrt(g) * h)
+    return wp.clamp(top / (g * wp.sqrt(g)), -STEEPEST, STEEPEST) / h
 
 
 @wp.struct

@@ -61,6 +61,65 @@ def fill_neighbors(
 
 
 @wp.kernel
+def return_strays_l(
+    x_e: wp.array(dtype=wp.vec3),
+    region_e: wp.array(dtype=wp.int32),
+    near: Neighbors,
+    region_l: wp.array(dtype=wp.int32),
+    n_e: int,
+    r: float,
+    stride: int,
+    # outputs
+    x_l: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    wanted: wp.array(dtype=wp.int32),
+):
+    """Put each L without an E within r onto the nearest E of its region, and list that E and its neighbours for it.
+
+    Its liquid then stays with the film. All E are looked at, which strays, being few, can afford.
+
+    Args:
+        x_e: [n] m.
+        region_e: [n] region of each E.
+        near: E:E neighbours.
+        region_l: [n_l] region of each L.
+        n_e: number of E; particles from here on are boundary.
+        r: support radius, m.
+        stride: room of a row of `rows`.
+        x_l: [n_l] m.
+        rows: L:E neighbours.
+        wanted: [n_l] length of the row that was asked for; -1 for a stray.
+    """
+    i = rows.first + wp.tid()
+    p = x_l[i]
+    first = rows.start[i]
+    astray = bool(True)
+    for k in range(first, rows.stop[i]):
+        j = rows.index[k]
+        if j < n_e and wp.length_sq(x_e[j] - p) < r * r:
+            astray = False
+            break
+    if astray:
+        nearest = float(1.0e30)
+        home = int(-1)
+        for j in range(n_e):
+            dd = wp.length_sq(x_e[j] - p)
+            if region_e[j] == region_l[i] and dd < nearest:
+                nearest = dd
+                home = j
+        if home >= 0:
+            x_l[i] = x_e[home]
+            rows.index[first] = home
+            n = int(1)
+            for k in range(near.start[home], near.stop[home]):
+                if n < stride:
+                    rows.index[first + n] = near.index[k]
+                    n += 1
+            rows.stop[i] = first + n
+            wanted[i] = -1
+
+
+@wp.kernel
 def count_columns(rows: Neighbors, limit: int, count: wp.array(dtype=wp.int32)):
     """Count how often each index below `limit` occurs in the rows."""
     i = wp.tid()

@@ -224,13 +224,15 @@ def thickness_growth_e(
     dt: float,
     rate: float,
     slack: float,
+    most: float,
     # outputs
     growth: wp.array(dtype=float),
 ):
     """Relative growth of the thickness of the L around each E: (8), kept in step with eta_E.
 
     eta falls as the film dilates, and where the L at their thickness claim more area than the E control
-    (claim/area > 1) it is raised at `rate`: detail between L is carried, their mean cannot drift.
+    (claim/area > 1) it is raised at `rate`: detail between L is carried, their mean cannot drift. What is beyond
+    `most` is mended at once: L that meet head-on or leave a place empty do not obey (8).
 
     Args:
         dilation: [n_e] div_s u, 1/s.
@@ -239,14 +241,16 @@ def thickness_growth_e(
         dt: s.
         rate: share of the mismatch mended in this step, 0 to 1.
         slack: relative mismatch that is left alone: mending the noise of single E would sharpen it step by step.
+        most: relative mismatch beyond which it is mended at once.
         growth: [n_e].
     """
     i = wp.tid()
-    mismatch = float(0.0)
+    mended = float(0.0)
     if claim[i] > 0.0:
         mismatch = wp.log(claim[i] / area[i])
-        mismatch -= wp.clamp(mismatch, -slack, slack)
-    growth[i] = rate * mismatch - dt * dilation[i]
+        near = wp.clamp(mismatch, -most, most)
+        mended = rate * (near - wp.clamp(near, -slack, slack)) + mismatch - near
+    growth[i] = mended - dt * dilation[i]
 
 
 @wp.kernel

@@ -17,7 +17,7 @@ from melp_warp.state import State
 SHIFT_TOLERANCE = 0.05
 SHIFT_ITERATIONS = 20
 SHIFT_LIMIT = 0.1
-"""Largest shift of an E in one redistribution, in spacings."""
+"""Largest shift of an E in one redistribution, in spacings; more where the E are very uneven, see `shift_e`."""
 
 PROJECTION_REACH = 2.0
 """Reach of the fits that an L is projected with, in spacings: nearer fits are the better ones."""
@@ -77,6 +77,8 @@ class Redistribution:
             [
                 self.solver.x,
                 e.x,
+                e.region,
+                self.spread,
                 e.u,
                 e.drift,
                 e.normal,

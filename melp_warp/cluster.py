@@ -123,6 +123,15 @@ class Merge:
 Event = Pop | Merge
 
 
+def _overlap(one: int, two: int, radius: float, other: float, depth: float) -> str:
+    """What to say of two bubbles that overlap by `depth` (m)."""
+    message = f"bubbles {one} and {two} must not overlap at the start, they do by {depth:.3g} m"
+    if depth < 2.0 * min(radius, other):
+        return message
+    inner, outer = (one, two) if radius < other else (two, one)
+    return f"{message}: {inner} lies inside {outer}, but a region is all that one closed film encloses"
+
+
 @dataclass(frozen=True)
 class Cluster(Shape):
     """Bubbles, numbered as listed, the walls around them and the events of the run.
@@ -163,8 +172,7 @@ class Cluster(Shape):
             depth = radius[i] + radius[i + 1 :] - np.linalg.norm(centre[i + 1 :] - centre[i], axis=1)
             if len(depth) and depth.max() > 1e-6 * radius[i]:
                 k = int(np.argmax(depth))
-                pair = f"bubbles {first[i]} and {first[i + 1 + k]}"
-                raise InputError(f"{pair} must not overlap at the start, they do by {depth[k]:.3g} m")
+                raise InputError(_overlap(first[i], first[i + 1 + k], radius[i], radius[i + 1 + k], depth[k]))
 
     def _check_walls(self) -> None:
         for k, b in enumerate(self.bubbles):

@@ -45,6 +45,7 @@ class Film:
         seed: of everything random.
         walls: planes that a foam touches.
         radius: radius of the sphere of the film's volume, for the air's added mass; infinite for an open film, m.
+        room: room of a neighbour list's row over the longest one when the list was made.
     """
 
     device: wp.Device
@@ -63,6 +64,7 @@ class Film:
     walls: tuple[Wall, ...] = ()
     rim: RimArrays | None = None
     radius: float = float("inf")
+    room: float = 1.4
 
     @property
     def total(self) -> int:

@@ -173,8 +173,9 @@ class _Output:
             "device": plan.device,
             "parameters": {key: "auto" if value is None else value for key, value in plan.parameters.items()},
         }
+        frame = simulation.particles(shown)
         with _finish_first():
-            self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets))
+            self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets), origin=frame.origin)
 
     def write(self, simulation: Simulation) -> dict:
         """Write the present frame and return its diagnostics."""

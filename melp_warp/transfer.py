@@ -17,6 +17,9 @@ from melp_warp.state import State
 THICKNESS_SLACK = 0.02
 """Relative difference between eta_L and eta_E that is left alone."""
 
+THICKNESS_LIMIT = 0.7
+"""Log of the ratio between eta_L and eta_E beyond which the difference is mended at once: a factor of two."""
+
 E_A_THREAD = 256
 """Fewest E worth a CPU thread where each gathers from hundreds of L."""
 
@@ -77,7 +80,7 @@ class Transfer:
         rate = -math.expm1(-dt / film.numerics.thickness_time)
         film.launch_e(
             kt.thickness_growth_e,
-            [dilation, self.claim, self.geometry.area, dt, rate, THICKNESS_SLACK],
+            [dilation, self.claim, self.geometry.area, dt, rate, THICKNESS_SLACK, THICKNESS_LIMIT],
             [self.growth],
         )
         self.gather_to_l()
