@@ -7,10 +7,14 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from melp_warp import __version__
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.tables import columns
+
+if TYPE_CHECKING:
+    from melp_warp.registry import SceneScript
 
 OK, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -82,6 +86,12 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     step.add_argument("--cfl", metavar="C", help="largest motion in a step, E spacings (sets dt to auto)")
     run.add_argument("--seed", metavar="N", help="seed of everything random")
     run.add_argument(
+        "--quality",
+        metavar="Q",
+        default="standard",
+        help="draft, standard, fine or paper; keys that are given override it",
+    )
+    run.add_argument(
         "--set", metavar="KEY=VALUE", nargs="+", action="extend", default=[], help="change numbers of the scene"
     )
     run.add_argument("--out", metavar="DIR", type=Path, help="folder to write, new or empty (default: out/NAME)")
@@ -90,6 +100,9 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     )
     run.add_argument("--preview", action="store_true", help="draw preview.png and contact.png at the end")
     run.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    run.add_argument(
+        "--estimate", action="store_true", help="print memory, time and disk of the run from a few steps; write nothing"
+    )
     run.set_defaults(command=_run)
 
 
@@ -137,10 +150,11 @@ def _add_measure(commands: argparse._SubParsersAction) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from melp_warp import runner
+    from melp_warp.quality import find_quality
     from melp_warp.registry import load_scene
 
     script = load_scene(options.scene)
-    values = script.parameters.values(script.parameters.parse(_settings(options)))
+    values = find_quality(options.quality).values(script, script.parameters.parse(_settings(options)))
     plan = runner.Plan(
         scene=script.build(values),
         name=script.name,
@@ -151,6 +165,9 @@ def _run(options: argparse.Namespace) -> int:
         preview=options.preview,
         quiet=options.quiet,
     )
+    if options.estimate:
+        print(runner.estimate(plan).table())
+        return OK
     return runner.run(plan)
 
 
@@ -176,7 +193,7 @@ def _scenes(options: argparse.Namespace) -> int:
         rows.append(
             (
                 name,
-                "auto" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value),
+                _shown(value),
                 key.unit,
                 key.meaning,
                 key.limits,
@@ -184,7 +201,23 @@ def _scenes(options: argparse.Namespace) -> int:
         )
     print(f"{script.name}: {script.description}\n")
     print(columns(rows))
+    print("\nWhat --quality changes:\n")
+    print(columns(_quality_rows(script)))
     return OK
+
+
+def _quality_rows(script: SceneScript) -> list[tuple[str, ...]]:
+    """Header and a row for every key that a quality changes in a scene."""
+    from melp_warp.quality import QUALITIES
+
+    columns = {name: quality.values(script).as_dict() for name, quality in QUALITIES.items()}
+    keys = [key for key in script.parameters if len({values[key] for values in columns.values()}) > 1]
+    return [("key", *columns), *((key, *(_shown(values[key]) for values in columns.values())) for key in keys)]
+
+
+def _shown(value: object) -> str:
+    """A value as it is typed."""
+    return "auto" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _preview(options: argparse.Namespace) -> int:

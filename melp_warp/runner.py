@@ -21,6 +21,7 @@ from melp_warp.parameters import Value
 from melp_warp.scene import Scene
 
 if TYPE_CHECKING:
+    from melp_warp.estimate import Estimate
     from melp_warp.frame import ParticleFrame
     from melp_warp.simulation import Simulation
 
@@ -85,6 +86,21 @@ def run(plan: Plan) -> int:
     if not plan.quiet:
         _say_finished(plan.out, images)
     return 0
+
+
+def estimate(plan: Plan) -> Estimate:
+    """What a run would cost, from a few of its steps; nothing is written.
+
+    Raises:
+        InputError: the solver refuses the scene or the device.
+        SimulationError: one of the steps failed.
+    """
+    _start_warp(plan.device)
+    from melp_warp.estimate import measure_cost
+
+    with_l = plan.scene.l_per_e > 0 and plan.export != "e"
+    e_sets = int(not with_l) + int(plan.export in ("e", "both"))
+    return measure_cost(plan.scene, plan.device, e_sets, int(with_l))
 
 
 def _simulation(plan: Plan) -> Simulation:

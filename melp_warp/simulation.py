@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -47,11 +48,14 @@ class Simulation:
     Attributes:
         has_l: whether there are Lagrangian particles.
         spilled: liquid that left with films that popped, kg.
+        step_seconds: wall time of each step, s; the first ones load and record kernels, and on a GPU this is the time
+            of launching alone.
     """
 
     def __init__(self, scene: Scene, device: str = "cpu"):
         self.scene = scene
         self.spilled = 0.0
+        self.step_seconds: list[float] = []
         self.device = find_device(device)
         try:
             self.film, self.stepper = make_film(scene, self.device)
@@ -87,7 +91,9 @@ class Simulation:
 
     def step(self, dt: float) -> None:
         """One step of dt seconds."""
+        began = time.perf_counter()
         self.stepper.step(dt)
+        self.step_seconds.append(time.perf_counter() - began)
         self._last_dt = dt
 
     def advance_frame(self) -> None:
@@ -103,10 +109,7 @@ class Simulation:
             self.stepper.wall[stage] = 0.0
         try:
             while end - self.time > 1e-9 / self.scene.fps:
-                left = self._until(end) - self.time
-                self._step_limit = self.largest_step()
-                self.step(left / math.ceil(left / self._step_limit - 1e-6))
-                self._substeps += 1
+                self.step_towards(end)
                 if not self.device.is_cuda:
                     self.stepper.check()
                 self._change_regions()
@@ -120,6 +123,14 @@ class Simulation:
         self.state.frame += 1
         self.state.time = end
         self._snapshot.save(self.state)
+
+    def step_towards(self, end: float) -> float:
+        """Take one step of those in which a frame that ends at `end` (s) is done; its size, s."""
+        left = self._until(end) - self.time
+        self._step_limit = self.largest_step()
+        self.step(left / math.ceil(left / self._step_limit - 1e-6))
+        self._substeps += 1
+        return self._last_dt
 
     def _until(self, end: float) -> float:
         """End of the frame, or the time of an event before it, s."""
