@@ -1,4 +1,4 @@
-"""The command line: `melp-warp run | scenes | preview | check | measure`."""
+"""The command line: `melp-warp run | scenes | preview | check | measure | tradeoff`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from melp_warp import __version__
-from melp_warp.errors import InputError, SimulationError
+from melp_warp.errors import InputError, SimulationError, require
 from melp_warp.tables import columns
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_preview(commands)
     _add_check(commands)
     _add_measure(commands)
+    _add_tradeoff(commands)
     return parser
 
 
@@ -146,6 +147,22 @@ def _add_measure(commands: argparse._SubParsersAction) -> None:
     )
     measure.add_argument("--spacing", metavar="M", type=float, help="E spacing, m (default: from the particles)")
     measure.set_defaults(command=_measure)
+
+
+def _add_tradeoff(commands: argparse._SubParsersAction) -> None:
+    study = commands.add_parser(
+        "tradeoff",
+        help="measure speed against accuracy for a scene",
+        description="Run a scene small over the knobs, against a finer run, and tell error and cost of each.",
+    )
+    study.add_argument("scene", metavar="NAME|PATH.py", help="a scene of `melp-warp scenes`, or a scene file")
+    study.add_argument(
+        "--set", metavar="KEY=VALUE", nargs="+", action="extend", default=[], help="change numbers of the scene"
+    )
+    study.add_argument("--e", metavar="N", type=int, default=400, help="E of the standard run (default: 400)")
+    study.add_argument("--frames", metavar="N", type=int, default=12, help="frames of each run (default: 12)")
+    study.add_argument("--out", metavar="DIR", type=Path, help="folder for tradeoff.csv, .json and .png; new or empty")
+    study.set_defaults(command=_tradeoff)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -249,4 +266,16 @@ def _measure(options: argparse.Namespace) -> int:
     if options.json is not None:
         options.json.write_text(json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
     print(found.table())
+    return OK
+
+
+def _tradeoff(options: argparse.Namespace) -> int:
+    from melp_warp import runner
+    from melp_warp.registry import load_scene
+
+    require(options.e >= 1, "--e", options.e, "a whole number above 0")
+    require(options.frames >= 1, "--frames", options.frames, "a whole number above 0")
+    script = load_scene(options.scene)
+    overrides = script.parameters.parse(options.set)
+    print(runner.trade(script, overrides, options.e, options.frames, options.out))
     return OK
