@@ -113,7 +113,7 @@ def test_command_measures_a_scene(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(tradeoff, "KNOBS", {"e": KNOBS["e"], "curvature": KNOBS["curvature"]})
     monkeypatch.setattr(tradeoff, "QUALITIES", {"draft": Quality(e=0.5)})
     out = tmp_path / "trade"
-    options = ["--e", "300", "--frames", "4", "--out", str(out), "--set", "l_per_e=2"]
+    options = ["--e", "300", "--frames", "12", "--out", str(out), "--set", "l_per_e=4"]
     assert cli.main(["tradeoff", "drainage", *options]) == 0
     told = capsys.readouterr().out.splitlines()
     assert told[0].split() == ["knob", "setting", "error", "s", "a", "simulated", "s", "steps", "MB"]
