@@ -1,8 +1,10 @@
 """Speed against accuracy: fronts, orders and designed sets, runs over the knobs, and single precision."""
 
 import csv
+import importlib.util
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -152,3 +154,43 @@ def test_rounding_is_far_below_resolution(device):
     near, far = (precision.nudged_difference(scene, 3, 1.0 / 120.0, ulps) for ulps in (1.0, 1e5))
     assert 0.0 < near < 1e-4
     assert far > 30.0 * near
+
+
+@pytest.fixture(scope="module")
+def tool():
+    """tools/tradeoff.py as a module."""
+    path = Path(__file__).parents[2] / "tools" / "tradeoff.py"
+    spec = importlib.util.spec_from_file_location("tradeoff_tool", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_page_tells_what_was_found(tool):
+    """Cells are relative to the case as it is; qualities say whether they lie on the front."""
+    own = Record("vortex", "", "as it is", {}, error=0.4, cost=2.0, bytes=10**6)
+    records = [
+        own,
+        Record("vortex", "e", "2", {"e_count": 1800}, error=0.2, cost=5.0),
+        Record("vortex", "scheme", "explicit", {}, stopped="stage membrane: E particle 3 is not finite"),
+        Record("vortex", "quality", "draft", {"support": 3.0}, error=0.5, cost=1.0),
+        Record("vortex", "quality", "standard", {}, error=0.4, cost=2.1),
+        Record("vortex", "quality", "fine", {}, error=0.3, cost=20.0),
+        Record("vortex", "quality", "paper", {}, stopped="e_count must be larger"),
+    ]
+    assert tool.cell(records, {"vortex": own}, "vortex", "e", "2") == "0.50, 2.50"
+    assert tool.cell(records, {"vortex": own}, "vortex", "scheme", "explicit") == "stops"
+    assert tool.cell(records, {"vortex": own}, "vortex", "skin", "1") == ""
+    row = tool.qualities(records)[2].split(" | ")
+    assert "**on the front**" in row[1] and "**on the front**" in row[2]
+    assert "4.0 times the cost of the front" in row[3]
+    assert row[4].startswith("refused")
+    assert "0.4 | 2 | 1 | - | -" in tool.overview(records)[2]
+
+
+@pytest.mark.slow
+def test_tool_runs_a_case_small(tool, capsys):
+    assert tool.main(["--only", "rest", "--size", "0.5", "--points", "2"]) == 0
+    told = capsys.readouterr().out
+    assert "curvature" in told
+    assert "design" in told
