@@ -349,10 +349,10 @@ def designed(case: Case, count: int, seed: int = 0) -> list[Quality]:
 
 
 def study(name: str, points: int, case: Case | None = None, seed: int = 0) -> Iterable[Record]:
-    """All records of a case: knobs one at a time; if it has several, a designed set of `points` and the qualities."""
+    """All records of a case: knobs one at a time; if the step is one, a designed set of `points` and the qualities."""
     case = case or CASES[name]
     yield from one_at_a_time(name, case)
-    if len(case.knobs) == 1:
+    if "step" not in case.knobs:
         return
     for i, quality in enumerate(designed(case, points, seed)):
         yield measure(name, "design", str(i), quality, case)
