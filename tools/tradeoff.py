@@ -96,7 +96,7 @@ def overview(records: list[t.Record]) -> list[str]:
     for name, case in t.CASES.items():
         mine = [r for r in records if r.case == name]
         for own in (r for r in mine if r.knob == ""):
-            orders = [number(t.order(mine, knob)) for knob in ("e", "step")]
+            orders = [f"{t.order(mine, knob):.1f}".replace("nan", "-") for knob in ("e", "step")]
             size = number(1e-6 * own.bytes) if own.bytes else "-"
             lines.append((f"{case.title} (`{name}`)", case.measure, number(own.error), number(own.cost), size, *orders))
     return rows(*lines)
@@ -134,6 +134,16 @@ def qualities(records: list[t.Record]) -> list[str]:
         if points:
             lines.append((f"`{name}`", *(place(points[q], mine) for q in QUALITIES)))
     return rows(*lines)
+
+
+def repeatability(records: list[t.Record]) -> str:
+    """How far the costs of a run that every case makes twice are apart."""
+    pairs = {}
+    for r in t.ran(records):
+        if not r.changes and r.knob in ("", "quality"):
+            pairs.setdefault(r.case, []).append(r.cost)
+    apart = [max(costs) / min(costs) for costs in pairs.values() if len(costs) > 1]
+    return f"a factor of {max(apart):.2f}" if apart else "an unknown factor"
 
 
 def place(record: t.Record, mine: list[t.Record]) -> str:
@@ -236,7 +246,9 @@ def page(records: list[t.Record], seconds: float) -> str:
             "",
             "Each case is run as it is, with every knob turned alone, at the points of a Latin hypercube over E, step,"
             " L, support, tolerance and `flip`, and with each `--quality`. Cost is wall time a simulated second at the"
-            f" usual step's; costs within a factor of {t.NOISE:g} are not told apart.",
+            f" usual step's; a quality within a factor of {t.NOISE:g} of the front counts as on it. `standard` is the"
+            f" case as it is, run once more: the two costs are up to {repeatability(records)} apart here, which is what a"
+            " single cost is worth.",
             "",
             "## Cases",
             "",
@@ -258,7 +270,8 @@ def page(records: list[t.Record], seconds: float) -> str:
             *refinement(records),
             "## Pareto fronts",
             "",
-            "Nothing that was run is both cheaper and more accurate than a row of these tables. Mass is that of the E"
+            "Nothing that was run is both cheaper and more accurate than a row of these tables, but for runs with a"
+            f" tolerance above {t.SOLVED:g}, which leave (14) unsolved. Mass is that of the E"
             " against the L, volume that of the surface against the gas law, both relative.",
             "",
             *fronts(records),

@@ -30,6 +30,12 @@ def test_front_holds_what_nothing_else_beats():
     assert [(r.cost, r.error) for r in tradeoff.front(points)] == [(1.0, 9.0), (2.0, 4.0), (8.0, 1.0)]
 
 
+def test_front_leaves_out_what_was_not_solved():
+    loose = Record("case", "tolerance", "0.1", {"tolerance": 0.1}, error=0.1, cost=0.1)
+    assert tradeoff.front([*POINTS, loose]) == tradeoff.front(POINTS)
+    assert tradeoff.behind(POINTS[0], [*POINTS, loose]) == 1.0
+
+
 def test_behind_is_the_cost_over_the_fronts():
     assert [tradeoff.behind(r, POINTS) for r in POINTS] == [1.0, 1.0, 1.5, 1.0, 9.0 / 8.0]
 
@@ -47,7 +53,7 @@ def test_designed_set_visits_every_part_of_every_range_once():
     for values, low, high in (
         ([math.log(p.e) for p in points], -0.5 * math.log(8.0), 0.5 * math.log(8.0)),
         ([math.log(p.step) for p in points], -math.log(4.0), math.log(4.0)),
-        ([math.log10(p.keys["tolerance"]) for p in points], -5.0, -1.0),
+        ([math.log10(p.keys["tolerance"] / tradeoff.SOLVED) for p in points], -2.5, 0.0),
     ):
         part = np.floor(8.0 * (np.array(values) - low) / (high - low))
         assert sorted(part) == list(range(8))
