@@ -247,8 +247,8 @@ def page(records: list[t.Record], seconds: float) -> str:
             "Each case is run as it is, with every knob turned alone, at the points of a Latin hypercube over E, step,"
             " L, support, tolerance and `flip`, and with each `--quality`. Cost is wall time a simulated second at the"
             f" usual step's; a quality within a factor of {t.NOISE:g} of the front counts as on it. `standard` is the"
-            f" case as it is, run once more: the two costs are up to {repeatability(records)} apart here, which is what a"
-            " single cost is worth.",
+            f" case as it is, run once more: the two costs are up to {repeatability(records)} apart here, which"
+            " is what a single cost is worth.",
             "",
             "## Cases",
             "",
