@@ -61,14 +61,17 @@ NOTES = """\
 * **Explicit** normal motion stops at the steps of a resting bubble; where it runs it is not cheaper.
 * **Tolerance** is relative to the surfactant, not to its variation: at 1e-3 a wave of 1 % is left unsolved, in effect
   explicit, which at these steps happens to be more accurate. 1e-4 is where the error no longer changes.
-* **Relaxed Jacobi** stops at 100 sweeps unconverged, which acts as a smaller time step; converged it costs more than
-  conjugate gradients, for the same error.
+* **Relaxed Jacobi** leaves the smooth part of the solution unsolved at 100 sweeps, and its errors differ for that.
+  Where 1,000 sweeps solve it, the error is that of conjugate gradients, at more cost.
 * **Skin** changes cost alone; 0.1 to 0.25 is as good as 0.5.
 * **Second-order paths of L** gain nothing and cost a vortex energy.
-* **`flip`** keeps vortices alive: 0.95 cuts what a vortex loses to half or less for some per cent of time, and leaves
-  waves and drainage as they are. PIC destroys a vortex within a turn; FLIP without the affine part is worse than APIC
+* **`flip`** keeps vortices alive: 0.95 about halves what a vortex loses, for some per cent of time, and leaves waves
+  and drainage as they are. PIC destroys a vortex within a turn; FLIP without the affine part is worse than APIC
   with `flip`. Noise of the L's own velocities is kept as well, which was not measured: scenes leave it off.
-* **Redistribution** costs a little accuracy of a ringing bubble; without it E pile up in a flow.
+* **Redistribution** doubles the error of a ringing bubble, which is small and would do without it.
+* **`standard`, `fine` and `paper` are not on every front.** `draft` is, as support and `flip` pay for fewer E. `fine`
+  spends on E and on the step alike, since a scene may need either; where a case needs one alone, the other is wasted.
+  `standard` is off the front by its support, and `paper` by support, SPH and Jacobi.
 
 """
 
