@@ -454,13 +454,15 @@ def field_error(frame: ParticleFrame, reference: ParticleFrame) -> float:
     Returns:
         The root of the sum of squares of the rms difference of thickness, relative to the mean, and of the rms
         distance of the surfaces, relative to the film's extent; both at the particles of `frame`, from the six
-        nearest of `reference`.
+        nearest of `reference` in the same region.
     """
     near = min(6, len(reference.points))
     thickness, away = [], []
     goal = reference.points.astype(np.float64)
-    for x in np.array_split(frame.points.astype(np.float64), max(1, len(frame.points) * len(goal) // 4_000_000)):
+    for part in np.array_split(np.arange(len(frame.points)), max(1, len(frame.points) * len(goal) // 4_000_000)):
+        x = frame.points[part].astype(np.float64)
         squared = np.sum(x**2, axis=1)[:, None] - 2.0 * x @ goal.T + np.sum(goal**2, axis=1)
+        squared[frame.region[part, None] != reference.region] = np.inf
         nearest = np.argpartition(squared, near - 1, axis=1)[:, :near]
         apart = x[:, None] - goal[nearest]
         weight = 1.0 / (np.sum(apart**2, axis=2) + 1e-12 * np.ptp(goal) ** 2)
