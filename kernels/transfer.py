@@ -22,6 +22,7 @@ def normalize_l(
     r: float,
     n_e: int,
     density: float,
+    affinity: float,
     # outputs
     weight: wp.array(dtype=float),
     given: wp.array(dtype=vec16),
@@ -44,6 +45,7 @@ def normalize_l(
         r: support radius, m.
         n_e: number of E; boundary particles beyond take no part, so that the transfer conserves.
         density: rho, kg/m^3.
+        affinity: share of the affine part that is given: 1 APIC, 0 PIC.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         given: [n_l] over alpha: momentum m (u - C o) with o the weighted mean of the E as seen from the L, its slope
             m C, and mass, surfactant, area m/(rho eta), packed for `rows.gather_row`.
@@ -58,7 +60,7 @@ def normalize_l(
     if total > 0.0:
         inverse = 1.0 / total
     m = mass_l[i] * inverse
-    c = affine_l[i]
+    c = affinity * affine_l[i]
     v = m * (u_l[i] - c * (inverse * mean))
     given[i] = vec16(
         v[0], v[1], v[2], m,
@@ -214,6 +216,51 @@ def gather_e_to_l(
         v_l[i] = velocity - affine * first
         normal_l[i] = n
         eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))
+
+
+@wp.kernel
+def keep_fluctuation_l(
+    u_l: wp.array(dtype=wp.vec3),
+    u_e: wp.array(dtype=wp.vec3),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    share: float,
+    # outputs
+    kept: wp.array(dtype=wp.vec3),
+):
+    """What FLIP keeps of an L: `share` times u_L - sum W^ u_E, its own velocity less what the E make of it.
+
+    Added to the velocity (16) of the step's end, u_L = sum W^ u_E' + kept, it gives for share 1 u_L + sum W^ (u_E' -
+    u_E): FLIP (Brackbill and Ruppel 1986), here with the affine part of APIC kept on top. The mass-weighted sum of
+    u_L - sum W^ u_E over the L is 0, as the E hold the momentum of the L.
+
+    Args:
+        u_l: [n_l] carried velocity at the start of the step, m/s.
+        u_e: [n] the velocity that E received from L, before any force, m/s.
+        weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
+        rows: L:E neighbours.
+        share: of the fluctuation that is kept, 0 to 1.
+        kept: [n_l] m/s.
+    """
+    i = rows.first + wp.tid()
+    total = float(0.0)
+    mean = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
+        w = weight[k]
+        if w > 0.0:
+            total += w
+            mean += w * u_e[rows.index[k]]
+    own = wp.vec3()
+    if total > 0.0:
+        own = share * (u_l[i] - mean / total)
+    kept[i] = own
+
+
+@wp.kernel
+def add_fluctuation_l(kept: wp.array(dtype=wp.vec3), normal_l: wp.array(dtype=wp.vec3), u_l: wp.array(dtype=wp.vec3)):
+    """u_L += the part of `kept` along the film: the normal motion is the E's. [n_l], m/s."""
+    i = wp.tid()
+    u_l[i] += tangential(kept[i], normal_l[i])
 
 
 @wp.kernel

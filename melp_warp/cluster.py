@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -190,6 +191,20 @@ class Cluster(Shape):
     def area(self) -> float:
         """Area of the bubbles that are there from the start, m^2."""
         return sum(4.0 * np.pi * self.bubbles[k].radius ** 2 for k in self.initial)
+
+    @property
+    def smallest(self) -> int:
+        """Number of the smallest bubble, also one to be born."""
+        return int(np.argmin([b.radius for b in self.bubbles]))
+
+    def fewest_e(self, support: float) -> int:
+        """Fewest E at the start with which the smallest bubble is two supports (in E spacings) across."""
+        return math.ceil(self.area * (support / self.bubbles[self.smallest].radius) ** 2)
+
+    @property
+    def growth(self) -> float:
+        """Area of all bubbles over that of those which are there from the start."""
+        return sum(4.0 * np.pi * b.radius**2 for b in self.bubbles) / self.area
 
     def sample(self, count: int, offset: float = 0.0) -> Samples:
         """Spread about `count` points evenly over the bubbles that are there from the start; see `Samples.region`."""

@@ -174,6 +174,8 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "max_iterations": _count("iterations at which a solve stops", 1, 10000),
         "cfl": Key("spacings", "largest motion in a step where dt is auto, in E spacings", 0.01, 10.0),
         "l_order": _count("order in time of the Lagrangian motion", 1, 2),
+        "affinity": Key("-", "share of the affine part in transfers (1: APIC, 0: PIC)", 0.0, 1.0),
+        "flip": Key("-", "share that L keep of their own velocity's departure from the E (0: none, 1: FLIP)", 0.0, 1.0),
         "skin": Key("spacings", "skin of the neighbour lists, in E spacings", 0.05, 4.0),
         "redistribution": Key("-", "strength of the E redistribution (0: none)", 0.0, 1.0),
         "spread": Key("-", "relative spread of E density that is left alone", 0.0, 10.0),

@@ -70,9 +70,8 @@ def _check_resolution(scene: Scene, spacing: float) -> None:
 
 def _check_smallest(cluster: Cluster, e_count: int, support: float) -> None:
     """Whether the smallest bubble, also one to be born, is at least two kernel supports across."""
-    k = int(np.argmin([b.radius for b in cluster.bubbles]))
+    need, k = cluster.fewest_e(support), cluster.smallest
     radius = cluster.bubbles[k].radius
-    need = math.ceil(cluster.area * (support / radius) ** 2)
     later = "" if len(cluster.initial) == len(cluster.bubbles) else f" for the {len(cluster.initial)} at the start"
     allowed = f"at least {need}{later}: bubble {k}, of radius {radius:.3g} m, must be {2.0 * support:g} spacings across"
     require(e_count >= need, "e_count", e_count, allowed)

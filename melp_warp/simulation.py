@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -73,11 +74,14 @@ class Simulation:
         has_l: whether there are Lagrangian particles.
         spilled: liquid that left with films that popped, kg.
         origin: [3] float64, m: where `particles` measures from, the same for the whole run.
+        step_seconds: wall time of each step, s; the first ones load and record kernels, and on a GPU this is the time
+            of launching alone.
     """
 
     def __init__(self, scene: Scene, device: str = "cpu"):
         self.scene = scene
         self.spilled = 0.0
+        self.step_seconds: list[float] = []
         self.device = find_device(device)
         try:
             self.film, self.stepper = make_film(scene, self.device)
@@ -118,7 +122,9 @@ class Simulation:
 
     def step(self, dt: float) -> None:
         """One step of dt seconds."""
+        began = time.perf_counter()
         self.stepper.step(dt)
+        self.step_seconds.append(time.perf_counter() - began)
         self._last_dt = dt
 
     def advance_frame(self) -> None:
@@ -154,10 +160,7 @@ class Simulation:
         for stage in STAGES:
             self.stepper.wall[stage] = 0.0
         while end - self.time > 1e-9 / self.scene.fps:
-            left = self._until(end) - self.time
-            self._step_limit = self.largest_step()
-            self.step(left / math.ceil(left / self._step_limit - 1e-6))
-            self._substeps += 1
+            self.step_towards(end)
             self._check_way()
             if not self.device.is_cuda:
                 self.stepper.check()
@@ -229,6 +232,14 @@ class Simulation:
             for x in (state.e.x, *([state.l.x] if state.l else [])):
                 launch(ka.shift_origin_e, x.shape[0], [wp.vec3(*away)], [x], self.device)
             state.origin = state.origin + away
+
+    def step_towards(self, end: float) -> float:
+        """Take one step of those in which a frame that ends at `end` (s) is done; its size, s."""
+        left = self._until(end) - self.time
+        self._step_limit = self.largest_step()
+        self.step(left / math.ceil(left / self._step_limit - 1e-6))
+        self._substeps += 1
+        return self._last_dt
 
     def _until(self, end: float) -> float:
         """End of the frame, or the time of an event before it, s."""

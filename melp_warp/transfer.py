@@ -25,7 +25,7 @@ E_A_THREAD = 256
 
 
 class Transfer:
-    """APIC transfer. Made only for films with L.
+    """APIC transfer, or a blend with PIC and FLIP. Made only for films with L.
 
     Attributes:
         claim: [n_e] area that the L take up at their thickness, m^2.
@@ -39,12 +39,19 @@ class Transfer:
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
+        self._kept = film.zeros(film.n_l, wp.vec3) if film.numerics.flip > 0.0 else None
 
     def l_to_e(self) -> None:
         """Mass, surfactant, claimed area and tangential velocity of E from L, (6) and (7)."""
         e = self.state.e
         self.gather()
         self.film.launch_e(kt.split_velocity_e, [e.mass, self.momentum, e.normal], [e.u])
+        if self._kept is not None:
+            self.film.launch_l(
+                kt.keep_fluctuation_l,
+                [self.state.l.u, e.u, self.weight, self.lists.le.rows, self.film.numerics.flip],
+                [self._kept],
+            )
 
     def gather(self) -> None:
         """The sums of (6) and (7) alone."""
@@ -70,6 +77,7 @@ class Transfer:
             [
                 *(lag.x, lag.u, lag.affine, lag.mass, lag.surfactant, lag.eta),
                 *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
+                film.numerics.affinity,
             ],
             [self.weight, self._given, self.lost],
         )
@@ -84,6 +92,8 @@ class Transfer:
             [self.growth],
         )
         self.gather_to_l()
+        if self._kept is not None:
+            film.launch_l(kt.add_fluctuation_l, [self._kept, self.state.l.normal], [self.state.l.u])
 
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
