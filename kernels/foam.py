@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range, region_total
+from melp_warp.kernels.regions import part_range, part_region, region_parts, region_total
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -176,32 +176,45 @@ def find_cover_e(
     x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
     facing: Neighbors,
     own: Neighbors,
     contact: Contact,
     # outputs
     cover: wp.array(dtype=float),
+    faced: wp.array(dtype=float),
+    beyond: wp.array(dtype=wp.int32),
 ):
-    """How much of each E's sheet is one film with another region's: 1 in a partition, 2 on a wall, 0 outside.
+    """How much of each E's sheet is one film with another region's: 1 in a partition and on a wall, 0 outside.
 
     Args:
         x: [n] m.
         normal: [n] unit normals.
         area: [n_e] m^2.
+        region: [n] region of each E.
         facing: E of other regions near each E.
         own: E of the same region.
         contact: constants.
-        cover: [n_e] 0 to 2.
+        cover: [n_e] 0 to 1.
+        faced: [n_e] the same by other regions alone.
+        beyond: [n_e] region of the E that covers most of it, -1 for none.
     """
     i = wp.tid()
     p = x[i]
     n = normal[i]
     shared = float(0.0)
+    most = float(0.0)
+    beyond[i] = -1
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
         w, _along, gap = meet_sheets(x[j] - p, n, normal[j], contact.reach)
-        shared += area[j] * w * near_share(gap, contact.range)
+        a = area[j] * w * near_share(gap, contact.range)
+        shared += a
+        if a > most:
+            most = a
+            beyond[i] = region[j]
     held = wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
+    faced[i] = held
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
         level = wp.dot(inward, contact.point[k])
@@ -374,7 +387,8 @@ def pull_foam_e(
         star: neighbours across the cell's edges.
         tie: [CORNERS n_e] their w_ij.
         dt: s.
-        force: [n_e] N.
+        force: [n_e] of sheets that move, N.
+        rest: [n_e] of sheets at rest, N.
         rows: coupled E, here those of the star.
         pair: coefficients, aligned with `rows`, kg.
     """
@@ -409,6 +423,7 @@ def press_wall(
     area: wp.array(dtype=float),
     push: float,
     inertia: float,
+    faced: float,
     own: Neighbors,
     wall: int,
     contact: Contact,
@@ -445,7 +460,7 @@ def press_wall(
             stiff += dt * dt * a * slope * ci * ci
     depth = MENISCUS * contact.range
     height = wp.clamp(wp.dot(inward, predicted[i]) - level, 0.0, depth)
-    suck = (area[i] * contact.cling * (1.0 - height / depth) / depth) * n
+    suck = (area[i] * (1.0 - faced) * contact.cling * (1.0 - height / depth) / depth) * n
     side = tangential(suck, inward)
     return total + suck - side, quiet + suck, side, stiff
 
@@ -460,6 +475,7 @@ def press_foam_e(
     region: wp.array(dtype=wp.int32),
     added: wp.array(dtype=float),
     push: wp.array(dtype=float),
+    faced: wp.array(dtype=float),
     facing: Neighbors,
     own: Neighbors,
     contact: Contact,
@@ -488,12 +504,15 @@ def press_foam_e(
         region: [n] region of each E.
         added: [regions] mass of the air that moves along, kg/m^2.
         push: [regions] pressure at gap 0, Pa.
+        faced: [n_e] share of each E that other regions cover: there is no meniscus there.
         facing: E of other regions near each E.
         own: E of the same region.
         contact: constants.
         stride: room of a row.
         dt: s.
-        force: [n_e] N.
+        force: [n_e] of sheets that move, N.
+        rest: [n_e] of sheets at rest, with the menisci, N.
+        foot: [n_e] menisci's force along their walls, N.
         diag: [n_e] kg.
         rows: coupled E.
         pair: coefficients, aligned with `rows`, kg.
@@ -531,7 +550,9 @@ def press_foam_e(
             k += 1
     for w in range(contact.point.shape[0]):
         if wp.dot(contact.inward[w], at - contact.point[w]) < contact.reach:
-            wall, quiet_wall, side, stiff_wall = press_wall(i, x, predicted, normal, area, push[region[i]], inertia, own, w, contact, dt)
+            wall, quiet_wall, side, stiff_wall = press_wall(
+                i, x, predicted, normal, area, push[region[i]], inertia, faced[i], own, w, contact, dt
+            )
             total += wall
             quiet += quiet_wall
             drawn += side
@@ -655,20 +676,87 @@ def gather_load_e(
 
 
 @wp.kernel
+def touch_chunks(
+    x: wp.array(dtype=wp.vec3),
+    contact: Contact,
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    touch: wp.array(dtype=wp.int32),
+):
+    """Walls that a part of a region touches, a bit each."""
+    c = wp.tid()
+    start, stop = part_range(c, first, touch.shape[0])
+    bits = int(0)
+    for k in range(contact.point.shape[0]):
+        level = wp.dot(contact.inward[k], contact.point[k])
+        near = bool(False)
+        for i in range(start, stop):
+            near = near or wp.dot(contact.inward[k], x[i]) - level < MENISCUS * contact.range
+        if near:
+            bits = bits | (1 << k)
+    touch[c] = bits
+
+
+@wp.func
+def along_walls(v: wp.vec3, g: int, regions: int, touch: wp.array(dtype=wp.int32), contact: Contact) -> wp.vec3:
+    """The part of v along the walls that region g touches: across them the walls take up what there is."""
+    start, stop = region_parts(g, touch.shape[0], regions)
+    bits = int(0)
+    for c in range(start, stop):
+        bits = bits | touch[c]
+    for k in range(contact.point.shape[0]):
+        if (bits >> k) & 1 == 1:
+            v = tangential(v, contact.inward[k])
+    return v
+
+
+@wp.kernel
+def find_missing_r(
+    net: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=wp.mat33),
+    touch: wp.array(dtype=wp.int32),
+    contact: Contact,
+    # outputs
+    missing: wp.array(dtype=wp.vec3),
+):
+    """Acceleration of each region by the force that its loads leave out, along the walls it touches. [regions]."""
+    g = wp.tid()
+    regions = missing.shape[0]
+    force = along_walls(region_total(net, g, regions), g, regions, touch, contact)
+    missing[g] = wp.inverse(region_total(mass, g, regions)) * force
+
+
+@wp.kernel
 def missing_chunks(
     normal: wp.array(dtype=wp.vec3),
     force: wp.array(dtype=wp.vec3),
+    rest: wp.array(dtype=wp.vec3),
+    foot: wp.array(dtype=wp.vec3),
     load: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
     net: wp.array(dtype=wp.vec3),
 ):
-    """Parts of the force on each region that its loads still leave out: the gas has none on a closed surface. N."""
+    """Parts of the force on each region at rest that its loads still leave out, N.
+
+    The gas has none on a closed surface, nor have menisci along their walls.
+
+    Args:
+        normal: [n] unit normals.
+        force: [n_e] tension and contact, N.
+        rest: [n_e] the same of sheets at rest, menisci included, N.
+        foot: [n_e] menisci's force along their walls, N.
+        load: [n_e] from `gather_load_e`, N.
+        first: [regions + 1] first E of each region.
+        net: parts.
+    """
     c = wp.tid()
     start, stop = part_range(c, first, net.shape[0])
     total = wp.vec3()
     for i in range(start, stop):
-        total += force[i] - load[i] * normal[i]
+        n = normal[i]
+        moving = wp.dot(force[i] + foot[i] - rest[i], n)
+        total += rest[i] - foot[i] - (load[i] - moving) * n
     net[c] = total
 
 
@@ -681,7 +769,7 @@ def kick_foam_e(
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
-    """Outside forces move each region as a whole by dt `fall` (m/s^2) before the solve, whose stiffness would resist."""
+    """Outside forces give each region a velocity dt `fall` before the solve, whose stiffness would resist. [n_e]."""
     i = wp.tid()
     n = normal[i]
     u[i] = u[i] + dt * wp.dot(fall[region[i]], n) * n
@@ -706,6 +794,7 @@ def load_foam_e(
     b: wp.array(dtype=float),
     diag: wp.array(dtype=float),
     inertia: wp.array(dtype=float),
+    outer: wp.array(dtype=float),
     sweep: wp.array(dtype=float),
 ):
     """Right-hand side and inertia of the solve.
@@ -727,15 +816,16 @@ def load_foam_e(
         b: [n_e] kg m/s.
         diag: [n_e] contact in, inertia added, kg.
         inertia: [n_e] mass with the air's and what damping adds, kg.
+        outer: [n_e] the load's part from outside the foam, kg m/s.
         sweep: [n_e] dt N.n, volume swept per normal speed, m^2 s.
     """
     i = wp.tid()
     n = normal[i]
     g = region[i]
     m = mass[i] + added[g] * area[i]
-    whole = m * wp.dot(missing[g] - fall[g], n) + mass[i] * wp.dot(body[i], n)
     slow = dt * damping * m
-    b[i] = dt * (load[i] + whole) - slow * wp.dot(u[i], n)
+    outer[i] = dt * (mass[i] * wp.dot(body[i], n) - m * wp.dot(fall[g], n)) - slow * wp.dot(u[i], n)
+    b[i] = outer[i] + dt * (load[i] + m * wp.dot(missing[g], n))
     inertia[i] = m + slow
     diag[i] = diag[i] + inertia[i]
     sweep[i] = dt * wp.dot(vector[i], n)
@@ -749,85 +839,75 @@ def set_push_r(gas: wp.array2d(dtype=wp.float64), contact: Contact, push: wp.arr
 
 
 @wp.kernel
-def kept_chunks(
+def debt_chunks(
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     cover: wp.array(dtype=float),
-    b: wp.array(dtype=float),
+    beyond: wp.array(dtype=wp.int32),
+    outer: wp.array(dtype=float),
     inertia: wp.array(dtype=float),
     change: wp.array(dtype=float),
+    debt: wp.array(dtype=wp.vec3),
     first: wp.array(dtype=wp.int32),
+    whole: float,
     # outputs
-    kept: wp.array(dtype=wp.vec4),
+    more: wp.array(dtype=wp.vec4),
 ):
-    """Parts of the momentum that the matrix kept from each region, kg m/s, and of its area that others cover, m^2.
+    """Parts of the momentum that each region is owed anew, kg m/s, and of its area that others cover, in `whole`.
+
+    Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
+    matrix, know normals alone, so that contact kicks a foam as a whole. What a region got from inside the foam counts
+    as its debt, which spreads to the regions that touch it, so that what they rightly got from one another cancels.
 
     Args:
         normal: [n] unit normals.
         area: [n_e] m^2.
         cover: [n_e] 0 to 1.
-        b: [n_e] loads, kg m/s.
+        beyond: [n_e] region that covers each E, -1 for none.
+        outer: [n_e] loads from outside the foam, kg m/s.
         inertia: [n_e] kg.
-        change: [n_e] solution, m/s.
+        change: [n_e] change of the normal speed, m/s.
+        debt: [regions] owed so far, kg m/s.
         first: [regions + 1] first E of each region.
-        kept: parts.
+        whole: area through which a debt spreads within a step, m^2.
+        more: parts.
     """
     c = wp.tid()
-    start, stop = part_range(c, first, kept.shape[0])
+    start, stop = part_range(c, first, more.shape[0])
+    own = debt[part_region(c, first, more.shape[0])]
     total = wp.vec3()
-    covered = float(0.0)
+    touched = float(0.0)
     for i in range(start, stop):
-        total += (b[i] - inertia[i] * change[i]) * normal[i]
-        covered += cover[i] * area[i]
-    kept[c] = wp.vec4(total[0], total[1], total[2], covered)
-
-
-@wp.kernel
-def settle_debt(
-    kept: wp.array(dtype=wp.vec4),
-    contact: Contact,
-    share: float,
-    # outputs
-    debt: wp.array(dtype=wp.vec4),
-):
-    """Momentum owed to the foam as a whole, kg m/s, and what of it is paid in this step.
-
-    Contact has no net force, and the walls have none along them; but the matrix knows normals alone, so that a solve
-    that closes gaps kicks a foam as a whole.
-
-    Args:
-        kept: parts from `kept_chunks`.
-        contact: constants.
-        share: how much of the debt is paid in a step.
-        debt: what is owed, and what is paid now with the area that is covered.
-    """
-    total = wp.vec4()
-    for c in range(kept.shape[0]):
-        total += kept[c]
-    owed = wp.vec3(debt[0][0], debt[0][1], debt[0][2]) + wp.vec3(total[0], total[1], total[2])
-    for k in range(contact.point.shape[0]):
-        owed = tangential(owed, contact.inward[k])
-    paid = wp.where(total[3] > 0.0, share, 0.0) * owed
-    owed = owed - paid
-    debt[0] = wp.vec4(owed[0], owed[1], owed[2], 0.0)
-    debt[1] = wp.vec4(paid[0], paid[1], paid[2], total[3])
+        total += (outer[i] - inertia[i] * change[i]) * normal[i]
+        if beyond[i] >= 0:
+            w = cover[i] * area[i] / whole
+            total += w * (debt[beyond[i]] - own)
+            touched += w
+    more[c] = wp.vec4(total[0], total[1], total[2], touched)
 
 
 @wp.kernel
 def pay_debt_r(
-    kept: wp.array(dtype=wp.vec4),
+    more: wp.array(dtype=wp.vec4),
     mass: wp.array(dtype=wp.mat33),
-    debt: wp.array(dtype=wp.vec4),
+    touch: wp.array(dtype=wp.int32),
+    contact: Contact,
+    share: float,
     # outputs
+    debt: wp.array(dtype=wp.vec3),
     recoil: wp.array(dtype=wp.vec3),
 ):
-    """Velocity that each region gets of what is paid, in the measure of its covered area. [regions], m/s."""
+    """Pay a share of each region's debt of momentum (kg m/s) as a velocity of the region as a whole. [regions], m/s.
+
+    A region that touches no other is paid at once.
+    """
     g = wp.tid()
-    own = region_total(kept, g, recoil.shape[0])
-    paid = debt[1]
-    part = wp.where(paid[3] > 0.0, own[3] / paid[3], 0.0)
-    net = part * wp.vec3(paid[0], paid[1], paid[2])
-    recoil[g] = wp.inverse(region_total(mass, g, recoil.shape[0])) * net
+    new = region_total(more, g, debt.shape[0])
+    owed = debt[g] + wp.vec3(new[0], new[1], new[2])
+    part = wp.where(new[3] > 0.0, share, 1.0)
+    owed = along_walls(owed, g, debt.shape[0], touch, contact)
+    debt[g] = (1.0 - part) * owed
+    recoil[g] = wp.inverse(region_total(mass, g, debt.shape[0])) * (part * owed)
 
 
 @wp.kernel
@@ -848,15 +928,69 @@ def apply_foam_e(
 
 
 @wp.kernel
-def confine_e(contact: Contact, x: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3)):
-    """Put E that have gone through a wall back onto it and stop them there. [n], m and m/s."""
+def recall_e(
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    reach: float,
+    leash: float,
+    contact: Contact,
+    # outputs
+    kept: wp.array(dtype=wp.vec3),
+    slowed: wp.array(dtype=wp.vec3),
+    turned: wp.array(dtype=wp.vec3),
+):
+    """Where E may be: inside the walls, at most `leash` from the mean of their neighbours, and facing as they do.
+
+    On the sharpest line that a sheet makes, a right angle, that distance is half a spacing and the normal is off by 45
+    degrees. An E that is pressed out of its sheet has no normal and no cell to be pulled back by.
+
+    Args:
+        x: [n] m.
+        u: [n] m/s.
+        normal: [n] unit normals.
+        rows: E:E neighbours.
+        reach: m.
+        leash: m.
+        contact: constants.
+        kept: [n_e] m.
+        slowed: [n_e] m/s.
+        turned: [n_e] unit normals.
+    """
     i = wp.tid()
+    p = x[i]
+    v = u[i]
+    n = normal[i]
+    total = float(0.0)
+    mean = wp.vec3()
+    flow = wp.vec3()
+    facing = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        w = kernel_w(wp.length(x[j] - p), reach)
+        total += w
+        mean += w * x[j]
+        flow += w * u[j]
+        facing += w * normal[j]
+    if total > 0.0:
+        away = p - mean / total
+        far = wp.length(away)
+        reversed = wp.dot(facing, n) < 0.0
+        if reversed:
+            n = wp.normalize(facing)
+        if far > leash or reversed:
+            p -= (1.0 - wp.min(leash / far, 0.5)) * away
+            v = flow / total
     for w in range(contact.point.shape[0]):
         inward = contact.inward[w]
-        height = wp.dot(x[i] - contact.point[w], inward)
+        height = wp.dot(p - contact.point[w], inward)
         if height < 0.0:
-            x[i] = x[i] - height * inward
-            u[i] = u[i] - wp.min(wp.dot(u[i], inward), 0.0) * inward
+            p -= height * inward
+            v -= wp.min(wp.dot(v, inward), 0.0) * inward
+    kept[i] = p
+    slowed[i] = v
+    turned[i] = n
 
 
 @wp.kernel
@@ -921,14 +1055,18 @@ def exchange_l(
     facing: Neighbors,
     reach: float,
     gamma: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
     region: wp.array(dtype=wp.int32),
     seed: int,
     chance: float,
     dt: float,
     # outputs
     region_l: wp.array(dtype=wp.int32),
+    eta_l: wp.array(dtype=float),
 ):
     """Let L change to the region across the partition with the probabilities (27) and (28). They keep all they carry.
+
+    Their thickness is that of the film they come to: it says how thick the film is where they are.
 
     Args:
         x_l: [n_l] m.
@@ -940,11 +1078,13 @@ def exchange_l(
         facing: E of other regions near each E.
         reach: distance within which a film is shared, m.
         gamma: [n_e] relative surfactant concentration.
+        eta: [n_e] thickness, m.
         region: [n] region of each E.
         seed: differs from call to call.
         chance: psi_1 = psi_2, the largest value of each of the two.
         dt: step that (27) looks ahead, s.
         region_l: [n_l] region of each L.
+        eta_l: [n_l] m.
     """
     i = wp.tid()
     p = x_l[i]
@@ -960,3 +1100,4 @@ def exchange_l(
         draw = wp.randf(wp.rand_init(seed, number[i]))
         if draw < chance * (toward + thinner):
             region_l[i] = region[j]
+            eta_l[i] = eta[j]

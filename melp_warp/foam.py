@@ -32,11 +32,17 @@ CONTACT_ROOM = 70
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.02, float(__import__('os').environ.get('CAP','4'))
+BENT, CAP = 0.02, float(__import__("os").environ.get("CAP", "4"))
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
-PATIENCE = float(__import__('os').environ.get('PAT','10'))
+PATIENCE = float(__import__("os").environ.get("PAT", "10"))
 """Time in which force along bent sheets is passed on, in those of a wave across a spacing."""
+
+MOST = 0.5
+"""Most force that an E takes over from its neighbours, in sigma times the spacing."""
+
+LEASH = 0.8
+"""Largest distance of an E from the mean of its neighbours, spacings."""
 
 EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
@@ -79,10 +85,10 @@ class Exchange:
             [
                 *(lag.x, lag.v, self.lists.le.rows, self._number),
                 *map(Shared, (e.x, e.normal, self.lists.eo.rows)),
-                *(PARTNER_REACH * film.spacing, Shared(self.fields.gamma), Shared(e.region)),
+                *(PARTNER_REACH * film.spacing, *map(Shared, (self.fields.gamma, self.fields.eta, e.region))),
                 *(film.seed + round(240.0 * self._last), chance, dt),
             ],
-            [lag.region],
+            [lag.region, lag.eta],
         )
 
 
@@ -90,7 +96,8 @@ class FoamMembrane:
     """Normal dynamics of touching regions, backward Euler. Takes the place of `Membrane`.
 
     Attributes:
-        cover: [n_e] 0 on a film of its own, 1 where the sheet is one film with another region's, 2 on a wall.
+        cover: [n_e] 0 on a film of its own, 1 where the sheet is one film with another region's or a wall's.
+        beyond: [n_e] region that covers each E, -1 for none.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [regions] velocity of each region as a whole in the step, m/s: that of `State.motion`.
         frame: the same.
@@ -108,14 +115,16 @@ class FoamMembrane:
         self.fields, self.forces = fields, forces
         n = film.n_e
         self.contact = make_contact(film)
-        self.cover = film.zeros(n)
+        self.cover, self._faced, self.beyond = film.zeros(n), film.zeros(n), film.zeros(n, wp.int32)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
-        self.u_mid, self._load, self._mass = (film.zeros(n) for _ in range(3))
+        self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
-        self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
+        self._fall, self._missing, self._recoil, self._found, self._debt = (
+            film.zeros(film.regions, wp.vec3) for _ in range(5)
+        )
         self._stride = CORNERS + int(CONTACT_ROOM * film.room)
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -129,8 +138,9 @@ class FoamMembrane:
         )
         self.wanted = film.zeros(n, wp.int32)
         self._inertia, self._solid = film.parts(wp.mat33), film.parts(wp.mat33)
-        self._momentum, self._kept, self._debt = film.parts(wp.vec3), film.parts(wp.vec4), film.zeros(2, wp.vec4)
+        self._momentum, self._more, self._touch = film.parts(wp.vec3), film.parts(wp.vec4), film.parts(wp.int32)
         self._swept = film.parts(wp.float64)
+        self._fresh = True
 
     def start_motion(self) -> None:
         """Take the air's mass from the volumes and the translations from the velocities, at the start of a run."""
@@ -147,20 +157,20 @@ class FoamMembrane:
 
     @property
     def longest_step(self) -> float:
-        """Step in which what moves along bent sheets is still followed, s: two times that of a wave across a spacing."""
+        """Step in which what moves along bent sheets is still followed, s: two times of a wave across a spacing."""
         return 2.0 * self.contact.lag
 
     def _patience(self, dt: float) -> float:
-        """Share of what is passed on late that is passed on in a step."""
-        return -math.expm1(-dt / (PATIENCE * self.contact.lag))
+        """Share of what is passed on late that is passed on in a step; all of it in the first."""
+        return 1.0 if self._fresh else -math.expm1(-dt / (PATIENCE * self.contact.lag))
 
     def find_contacts(self, x: wp.array) -> None:
         """What is covered by other regions and walls with E at x."""
         film, e = self.film, self.state.e
         film.launch_e(
             kf.find_cover_e,
-            [x, e.normal, self.geometry.area, self.lists.eo.rows, self.lists.ee.rows, self.contact],
-            [self.cover],
+            [x, e.normal, self.geometry.area, e.region, self.lists.eo.rows, self.lists.ee.rows, self.contact],
+            [self.cover, self._faced, self.beyond],
         )
 
     def nearest_regions(self) -> np.ndarray:
@@ -204,19 +214,21 @@ class FoamMembrane:
         film.launch_regions(kf.predict_gas_r, [self._swept, pressure, dt], [self.state.gas, solver.stiff, self.ahead])
         self._assemble(dt)
         solver.solve()
-        arrays = [e.normal, self.geometry.area, self.cover, solver.b, self._mass, solver.x, film.first]
-        film.launch_parts(kf.kept_chunks, arrays, [self._kept])
-        film.launch_one(kf.settle_debt, [self._kept, self.contact, self._patience(dt)], [self._debt])
-        film.launch_regions(kf.pay_debt_r, [self._kept, self._inertia, self._debt], [self._recoil])
+        self._pay_debt(dt)
         film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self._recoil], [e.u, self.u_mid])
         self._find_motion(self.state.motion)
+        self._fresh = False
         self._sweep()
         film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
 
-    def confine(self) -> None:
-        """After the move: E stay inside the walls."""
-        if self.film.walls:
-            self.film.launch_e(kf.confine_e, [self.contact], [self.state.e.x, self.state.e.u])
+    def recall(self) -> None:
+        """After the move: E stay in their sheets and inside the walls."""
+        film, e, leash = self.film, self.state.e, LEASH * self.film.spacing
+        inputs = [e.x, e.u, e.normal, self.lists.ee.rows, film.r, leash, self.contact]
+        found = (self.predicted, self.force, self._rest)
+        film.launch_e(kf.recall_e, inputs, found)
+        for array, new in zip((e.x, e.u, e.normal), found, strict=True):
+            wp.copy(array, new, count=film.n_e)
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""
@@ -239,6 +251,24 @@ class FoamMembrane:
         film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._fall])
         film.launch_e(kf.kick_foam_e, [e.normal, e.region, self._fall, dt], [e.u])
 
+    def _pay_debt(self, dt: float) -> None:
+        """Momentum that the foam gave itself in the solve, back to where it came from."""
+        film, e = self.film, self.state.e
+        whole = 0.5 * film.spacing**2 * film.n_e / film.regions
+        film.launch_parts(
+            kf.debt_chunks,
+            [
+                *(e.normal, self.geometry.area, self.cover, self.beyond, self._outer, self._mass, self.response.x),
+                *(self._debt, film.first, whole),
+            ],
+            [self._more],
+        )
+        film.launch_regions(
+            kf.pay_debt_r,
+            [self._more, self._inertia, self._touch, self.contact, self._patience(dt)],
+            [self._debt, self._recoil],
+        )
+
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
         film.launch_parts(kf.swept_volume_chunks, [e.u, e.normal, self.geometry.vector, film.first], [self._swept])
@@ -257,13 +287,13 @@ class FoamMembrane:
         film.launch_e(
             kf.press_foam_e,
             [
-                *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push),
+                *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push, self._faced),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
             [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
         )
         ee, vector = self.lists.ee.rows, geometry.vector
-        most = float(__import__('os').environ.get('MOST','1')) * 0.5 * self.contact.cling * film.spacing
+        most = float(__import__("os").environ.get("MOST", "1")) * 0.5 * self.contact.cling * film.spacing
         film.launch_e(
             kf.seek_normals_e,
             [
@@ -277,13 +307,17 @@ class FoamMembrane:
             [e.x, e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought, ee, film.r, most],
             [self._load],
         )
-        film.launch_parts(kf.missing_chunks, [e.normal, self.force, self._load, film.first], [self._momentum])
-        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._missing])
+        film.launch_parts(
+            kf.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum]
+        )
+        film.launch_parts(kf.touch_chunks, [e.x, self.contact, film.first], [self._touch])
+        arrays = [self._momentum, self._inertia, self._touch, self.contact]
+        film.launch_regions(kf.find_missing_r, arrays, [self._missing])
         film.launch_e(
             kf.load_foam_e,
             [
                 *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._fall, self._missing),
                 *(self.added, film.surroundings.damping, e.u, self._load, dt),
             ],
-            [self.response.b, operator.diag, self._mass, self.response.sweep],
+            [self.response.b, operator.diag, self._mass, self._outer, self.response.sweep],
         )

@@ -123,7 +123,7 @@ def settle(scene: Scene) -> tuple[Simulation, Measurement, dict]:
     return simulation, measured, watched
 
 
-def double_bubble(e_per_bubble: int = 1000, ratio: float = 1.0, frames: int = 100, l_per_e: int = 0) -> dict:
+def double_bubble(e_per_bubble: int = 1000, ratio: float = 1.0, frames: int = 140, l_per_e: int = 0) -> dict:
     """Two bubbles meet: the three dihedral angles, the partition's curvature, area and volumes.
 
     Returns:
@@ -151,7 +151,7 @@ def double_bubble(e_per_bubble: int = 1000, ratio: float = 1.0, frames: int = 10
     return result
 
 
-def ring(count: int = 3, e_per_bubble: int = 1000, frames: int = 120) -> dict:
+def ring(count: int = 3, e_per_bubble: int = 1000, frames: int = 200) -> dict:
     """Three bubbles in a triangle or four in a tetrahedron: dihedral angles at lines, angles between lines.
 
     Returns:
@@ -178,8 +178,8 @@ def ring(count: int = 3, e_per_bubble: int = 1000, frames: int = 120) -> dict:
 def static_double_bubble(e_per_bubble: int = 1000, angle: float = PLATEAU, radius: float = RADIUS) -> float:
     """Net pull on the line of a double bubble whose caps meet at `angle`, over the tension of a film.
 
-    The particles sit on the exact caps and partition, their corner rounded with the radius that the gas pressure and
-    the suction of the borders give it. With outer dihedral angle theta the exact answer is 2 cos(theta/2) - 1.
+    The particles sit on the exact caps and partition, their corner rounded over the gap within which sheets cling. With
+    outer dihedral angle theta the exact answer is 2 cos(theta/2) - 1.
 
     Returns:
         Radial force per length over 2 sigma.
@@ -187,7 +187,7 @@ def static_double_bubble(e_per_bubble: int = 1000, angle: float = PLATEAU, radiu
     scene = foam_scene(*pair_of(radius, radius), e_per_bubble, gap=10.0)
     simulation = Simulation(scene)
     spacing = simulation.film.spacing
-    points, normals = _rounded_cap(radius, math.radians(angle), _rounding(radius, simulation), spacing)
+    points, normals = _rounded_cap(radius, math.radians(angle), simulation.scene.numerics.border * spacing, spacing)
     mirror = np.array([-1.0, 1.0, 1.0])
     stored = _stored(simulation, [(points, normals), (points * mirror, normals * mirror)])
     _, stepper = resume(scene, stored, (0, 1), spacing, simulation.device)
@@ -202,12 +202,6 @@ def static_double_bubble(e_per_bubble: int = 1000, angle: float = PLATEAU, radiu
     near = np.hypot(np.abs(x[:, 0]), rho - line) < 6.0 * spacing
     tension = 2.0 * scene.material.film_tension
     return float((force * radial)[near].sum() / (tension * 2.0 * math.pi * line))
-
-
-def _rounding(radius: float, simulation: Simulation) -> float:
-    sigma = simulation.scene.material.film_tension
-    suction = simulation.stepper.membrane.contact.suction
-    return sigma / (suction + 4.0 * sigma / radius)
 
 
 def _rounded_cap(radius: float, angle: float, fillet: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:

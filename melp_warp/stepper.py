@@ -103,7 +103,7 @@ class Stepper:
                 if self.redistribution is not None:
                     self.redistribution.apply(dt)  # (20)
                 if f.foam:
-                    self.membrane.confine()
+                    self.membrane.recall()
                 if self.rim is not None:
                     self.rim.extend()
                 self.lists.record_e(self.e_advance.x_old, self.at_rest, dt)

@@ -14,6 +14,9 @@ from melp_warp.state import GAS_SLOTS
 
 VOLUME, GAUGE, AMOUNT = (GAS_SLOTS.index(name) for name in ("volume", "gauge_pressure", "amount"))
 
+HEIRS = 128
+"""Particles that share what one particle of a broken partition leaves."""
+
 
 @dataclass
 class Stored:
@@ -104,21 +107,25 @@ def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.nd
 
 
 def _hand_over(arrays: dict[str, np.ndarray], kind: str, gone: np.ndarray, kept: np.ndarray) -> None:
-    """Give mass, surfactant and momentum of the particles that go to the nearest ones that stay."""
+    """Give mass, surfactant and momentum of the particles that go to those nearest that stay, `HEIRS` to each."""
     sources, targets = np.flatnonzero(gone), np.flatnonzero(kept)
     if not len(sources) or not len(targets):
         return
     x, mass, u = arrays[f"{kind}.x"], arrays[f"{kind}.mass"], arrays[f"{kind}.u"]
+    heirs = min(HEIRS, len(targets))
     nearest = np.concatenate(
         [
-            targets[np.argmin(((x[part, None] - x[None, targets]) ** 2).sum(axis=2), axis=1)]
+            targets[
+                np.argpartition(((x[part, None] - x[None, targets]) ** 2).sum(axis=2), heirs - 1, axis=1)[:, :heirs]
+            ]
             for part in np.array_split(sources, 1 + len(sources) * len(targets) // 2_000_000)
         ]
     )
     momentum = mass[:, None] * u
-    np.add.at(momentum, nearest, momentum[sources])
+    np.add.at(momentum, nearest, momentum[sources, None] / heirs)
     for name in ("mass", "surfactant"):
-        np.add.at(arrays[f"{kind}.{name}"], nearest, arrays[f"{kind}.{name}"][sources])
+        amount = arrays[f"{kind}.{name}"]
+        np.add.at(amount, nearest, amount[sources, None] / heirs)
     met = np.unique(nearest)
     u[met] = momentum[met] / mass[met, None]
 
