@@ -4,6 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.mls import Quadric, height_above
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.rows import weigh_row
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -18,19 +19,18 @@ def smooth_drift_e(
     n_e: int,
     strength: float,
     # outputs
+    near: wp.array(dtype=float),
     smoothed: wp.array(dtype=wp.vec3),
 ):
-    """XSPH smoothing of the tangential E velocity (section 4.8). [n_e], m/s."""
-    i = wp.tid()
-    p = x[i]
-    total = kernel_w(0.0, r)
-    mean = total * drift[i]
+    """XSPH smoothing of the tangential E velocity (section 4.8). [n_e], m/s. `near`: [pairs] room for W."""
+    i = rows.first + wp.tid()
+    centre = kernel_w(0.0, r)
+    total = centre + weigh_row(i, x[i], x, rows, r, x.shape[0], near)[3]
+    mean = centre * drift[i]
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
-        w = kernel_w(wp.length(x[j] - p), r)
-        total += w
         if j < n_e:
-            mean += w * drift[j]
+            mean += near[k] * drift[j]
     smoothed[i] = (1.0 - strength) * drift[i] + strength * mean / total
 
 
@@ -61,6 +61,13 @@ def advance_e(
     i = wp.tid()
     n = normal[i]
     x[i] = x[i] + dt * (u_mid[i] * n + tangential(drift[i] + frame[region[i]], n))
+
+
+@wp.kernel
+def shift_origin_e(shift: wp.vec3, x: wp.array(dtype=wp.vec3)):
+    """Measure positions, of E or of L, from a place `shift` away. [n], m."""
+    i = wp.tid()
+    x[i] = x[i] - shift
 
 
 @wp.kernel
@@ -104,7 +111,7 @@ def project_l(
         n_e: number of E.
         x_l: [n_l] m.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i]
     total = float(0.0)
     shift = wp.vec3()
@@ -112,8 +119,9 @@ def project_l(
         j = rows.index[k]
         if j < n_e:
             d = p - x_e[j]
-            w = kernel_w(wp.length(d), r)
-            if w > 0.0:
+            dd = wp.length_sq(d)
+            if dd < r * r:
+                w = kernel_w(wp.sqrt(dd), r)
                 total += w
                 q = surface[j]
                 shift += w * height_above(q, d) * q.normal

@@ -60,7 +60,7 @@ def confine_l(
     x_l: wp.array(dtype=wp.vec3),
 ):
     """Put L that have crossed the rim back onto it. [n_l], m."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i]
     nearest = float(1.0e30)
     depth = float(0.0)

@@ -125,7 +125,7 @@ def voronoi_cell_e(
         star: the neighbours that the cell's edges are shared with, in order around it; null where nobody asks.
         weight: [CORNERS n_e] edge over distance of those neighbours: w_ij of the Laplacian sum_j w_ij (f_j - f_i).
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     n = normal[i]
     e1, e2 = tangent_basis(n)
@@ -182,9 +182,9 @@ def voronoi_cell_e(
 
 @wp.kernel
 def control_area_e(
-    x: wp.array(dtype=wp.vec3),
     cell: wp.array(dtype=float),
     density_inner: wp.array(dtype=float),
+    near: wp.array(dtype=float),
     rows: Neighbors,
     r: float,
     n_e: int,
@@ -194,13 +194,12 @@ def control_area_e(
     """Control area a = integral of the transfer weight W(E, x)/sum_E' W(E', x) over the film. [n_e], m^2.
 
     The weights are those of (6), so that an even film is transferred to an even eta_E = V_E/a_E; the integral is
-    taken over the Voronoi cells and sums to their area.
+    taken over the Voronoi cells and sums to their area. `near` is W of each pair, from `geometry.density_e`.
     """
-    i = wp.tid()
-    p = x[i]
+    i = rows.first + wp.tid()
     total = kernel_w(0.0, r) * cell[i] / density_inner[i]
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < n_e:
-            total += kernel_w(wp.length(x[j] - p), r) * cell[j] / density_inner[j]
+            total += near[k] * cell[j] / density_inner[j]
     area[i] = total

@@ -9,11 +9,11 @@ from melp_warp.kernels.mls import (
     fitted_curvature,
     make_quadric,
     mat55,
-    quadratic_basis,
     slope_normal,
     vec5,
 )
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.rows import cloud_moments, mat53, weigh_row, weigh_row_laplacian, write_row_gradient
 from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangent_basis
 
 wp.set_module_options({"enable_backward": False})
@@ -35,21 +35,12 @@ def orient_frames_e(
         r: support radius, m.
         normal: [n_e] unit normals, previous in, new out.
     """
-    i = wp.tid()
-    p = x[i]
-    scale = 3.0 / r
-    total = kernel_w(0.0, 3.0)
-    mean = wp.vec3()
-    square = wp.vec3()
-    mixed = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        d = scale * (x[rows.index[k]] - p)
-        w = kernel_w(wp.length(d), 3.0)
-        wd = w * d
-        total += w
-        mean += wd
-        square += wp.cw_mul(wd, d)
-        mixed += wp.vec3(wd[1] * d[2], wd[2] * d[0], wd[0] * d[1])
+    i = rows.first + wp.tid()
+    m = cloud_moments(i, x, rows, r)
+    total = kernel_w(0.0, 3.0) + m[0]
+    mean = wp.vec3(m[1], m[2], m[3])
+    square = wp.vec3(m[4], m[5], m[6])
+    mixed = wp.vec3(m[7], m[8], m[9])
     mean = mean / total
     square = square / total - wp.cw_mul(mean, mean)
     mixed = mixed / total - wp.vec3(mean[1] * mean[2], mean[2] * mean[0], mean[0] * mean[1])
@@ -83,7 +74,6 @@ def write_gradient(
     gradient: wp.array(dtype=wp.vec3),
 ):
     """Write g_ij with grad_s f = sum_j (f_j - f_i) g_ij, exact for quadratics, into row i. 1/m."""
-    scale = 3.0 / r
     e1, e2 = tangent_basis(n)
     # Covariant basis of the fitted surface and its inverse metric: the g of (10).
     t1 = e1 + c[0] * n
@@ -96,17 +86,10 @@ def write_gradient(
     up2 = (g11 * t2 - g12 * t1) / det
     y1 = cholesky_solve(low, vec5(1.0, 0.0, 0.0, 0.0, 0.0))
     y2 = cholesky_solve(low, vec5(0.0, 1.0, 0.0, 0.0, 0.0))
-    p = x[i]
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        g = wp.vec3()
-        if j < limit:
-            d = scale * (x[j] - p)
-            w = kernel_w(wp.length(d), 3.0)
-            if w > 0.0:
-                b = quadratic_basis(wp.dot(d, e1), wp.dot(d, e2))
-                g = (w * scale) * (wp.dot(y1, b) * up1 + wp.dot(y2, b) * up2)
-        gradient[k] = g
+    turn = mat53()
+    for m in range(5):
+        turn[m] = y1[m] * up1 + y2[m] * up2
+    write_row_gradient(i, x, e1, e2, turn, rows, r, limit, gradient)
 
 
 @wp.kernel
@@ -131,7 +114,7 @@ def fit_surface_e(
         kappa: [n_e] sum of principal curvatures, 1/m.
         gradient: [pairs] see `write_gradient`.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = normal[i]
     low, c = fit_height(i, x, n, rows, r, x.shape[0])
     surface[i] = make_quadric(c, n, r / 3.0)
@@ -163,7 +146,7 @@ def sharpen_normal_e(
         r: support radius, m.
         normal: [n_e] unit normals.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     slope = wp.vec3()
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
@@ -193,7 +176,7 @@ def fit_inner_gradient_e(
         n_e: number of E; particles from here on are boundary.
         gradient: [pairs] see `write_gradient`; zero for boundary neighbours.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = surface[i].normal
     low, c = fit_height(i, x, n, rows, r, n_e)
     write_gradient(i, x, n, rows, r, n_e, low, c, gradient)
@@ -209,7 +192,7 @@ def curvature_mls_e(
     kappa: wp.array(dtype=float),
 ):
     """Sum of principal curvatures by a quadratic fit, full formula of (10). [n_e], 1/m."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     _low, c = fit_height(i, x, normal[i], rows, r, x.shape[0])
     kappa[i] = fitted_curvature(c, r / 3.0)
 
@@ -227,7 +210,7 @@ def curvature_sph_e(
     kappa: wp.array(dtype=float),
 ):
     """Sum of principal curvatures as the SPH Laplacian of the height, (10) with (21). [n_e], 1/m."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     n = normal[i]
     total = float(0.0)
@@ -248,25 +231,23 @@ def density_e(
     r: float,
     n_e: int,
     # outputs
+    near: wp.array(dtype=float),
     density: wp.array(dtype=float),
     density_inner: wp.array(dtype=float),
 ):
     """Number density delta of (9), over all particles and over E alone. [n_e], 1/m^2.
 
     The kernel takes the 3D distance: the area within a chord s of a point of a sphere is pi s^2 exactly, so the
-    density is free of the curvature error that distances in the tangent plane bring.
+    density is free of the curvature error that distances in the tangent plane bring. `near` is W of each pair. [pairs].
     """
-    i = wp.tid()
-    p = x[i]
-    inner = kernel_w(0.0, r)
+    i = rows.first + wp.tid()
+    inner = kernel_w(0.0, r) + weigh_row(i, x[i], x, rows, r, n_e, near)[3]
     outer = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        w = kernel_w(wp.length(x[j] - p), r)
-        if j < n_e:
-            inner += w
-        else:
-            outer += w
+    if x.shape[0] > n_e:
+        for k in range(rows.start[i], rows.stop[i]):
+            j = rows.index[k]
+            if j >= n_e:
+                outer += kernel_w(wp.length(x[j] - x[i]), r)
     density[i] = inner + outer
     density_inner[i] = inner
 
@@ -286,11 +267,5 @@ def pair_weights_e(
 
     Boundary particles, of index n_e on, have the area `rim_area`.
     """
-    i = wp.tid()
-    p = x[i]
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        a = rim_area
-        if j < n_e:
-            a = area[j]
-        weight[k] = area[i] * a * laplacian_weight(wp.length(x[j] - p), r)
+    i = rows.first + wp.tid()
+    weigh_row_laplacian(i, x, area, rows, r, n_e, rim_area, weight)

@@ -10,6 +10,7 @@ import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_total
+from melp_warp.kernels.rows import sum_differences
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,6 +40,22 @@ def inner(a: wp.vec3, b: wp.vec3) -> float:  # noqa: F811
 
 
 @wp.func
+def differences(i: int, x: wp.array(dtype=float), pair: wp.array(dtype=float), rows: Neighbors) -> float:
+    """sum_j pair_ij (x_i - x_j)."""
+    return sum_differences(i, x, pair, rows)
+
+
+@wp.func
+def differences(i: int, x: wp.array(dtype=wp.vec3), pair: wp.array(dtype=float), rows: Neighbors) -> wp.vec3:  # noqa: F811
+    """The same for vectors."""
+    xi = x[i]
+    total = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
+        total += pair[k] * (xi - x[rows.index[k]])
+    return total
+
+
+@wp.func
 def apply_row(
     i: int,
     x: wp.array(dtype=Any),
@@ -48,11 +65,7 @@ def apply_row(
     rows: Neighbors,
 ):
     """(A x)_i."""
-    xi = x[i]
-    total = xi - xi
-    for k in range(rows.start[i], rows.stop[i]):
-        total += pair[k] * (xi - x[rows.index[k]])
-    return diag[i] * xi + scale * total
+    return diag[i] * x[i] + scale * differences(i, x, pair, rows)
 
 
 @wp.kernel
@@ -65,7 +78,7 @@ def invert_diagonal(
     inverse: wp.array(dtype=float),
 ):
     """1/A_ii, the Jacobi preconditioner. [n]."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     total = float(0.0)
     for k in range(rows.start[i], rows.stop[i]):
         total += pair[k]
@@ -88,7 +101,7 @@ def start_residual(
     p: wp.array(dtype=Any),
 ):
     """r = b - A x, z = r/A_ii, p = z."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     ri = b[i] - apply_row(i, x, diag, pair, scale[0], rows)
     r[i] = ri
     zi = inverse[i] * ri
@@ -107,7 +120,7 @@ def apply_operator(
     y: wp.array(dtype=Any),
 ):
     """y = A x. [n]."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     y[i] = apply_row(i, x, diag, pair, scale[0], rows)
 
 
@@ -237,7 +250,7 @@ def sweep_jacobi(
     next_x: wp.array(dtype=Any),
 ):
     """One relaxed Jacobi sweep (Appendix B), with the residual it started from."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     ri = b[i] - apply_row(i, x, diag, pair, scale[0], rows)
     r[i] = ri
     z[i] = inverse[i] * ri
@@ -297,34 +310,56 @@ def start_shifted(
 
 @wp.kernel
 def start_zeta(zeta: wp.array2d(dtype=wp.vec2)):
-    """zeta[0] = zeta[1] = 1: collinearity factors now and before. zeta[2] holds the steps."""
+    """zeta[0] = zeta[1] = 1: collinearity factors now and before.
+
+    zeta[2] holds the steps times the residues, zeta[3] the factors of the directions.
+    """
     k = wp.tid()
     zeta[0, k] = wp.vec2(1.0, 0.0)
     zeta[1, k] = wp.vec2(1.0, 0.0)
 
 
 @wp.kernel
-def apply_shifted(
-    p: wp.array(dtype=float),
+def scale_pairs(
     area: wp.array(dtype=float),
     pair: wp.array(dtype=float),
+    rows: Neighbors,
+    # outputs
+    scaled: wp.array(dtype=float),
+    diag: wp.array(dtype=float),
+):
+    """D = -area^-1/2 (a_i a_j K_ij Laplacian) area^-1/2, the negative surface Laplacian, as pairs and a rest.
+
+    (D p)_i = diag_i p_i + sum_j scaled_ij (p_i - p_j). Entries beyond the unknowns hold p = 0: their pair goes to the
+    diagonal.
+    """
+    i = rows.first + wp.tid()
+    si = 1.0 / wp.sqrt(area[i])
+    rest = float(0.0)
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        full = si * si * pair[k]
+        c = float(0.0)
+        if j < area.shape[0]:
+            c = si / wp.sqrt(area[j]) * pair[k]
+        scaled[k] = c
+        rest += full - c
+    diag[i] = rest
+
+
+@wp.kernel
+def apply_shifted(
+    p: wp.array(dtype=float),
+    diag: wp.array(dtype=float),
+    scaled: wp.array(dtype=float),
     poles: Poles,
     rows: Neighbors,
     # outputs
     q: wp.array(dtype=float),
 ):
-    """q = (D + p_0) p with D = -area^-1/2 (a_i a_j K_ij Laplacian) area^-1/2, the negative surface Laplacian."""
-    i = wp.tid()
-    si = 1.0 / wp.sqrt(area[i])
-    pi = p[i] * si
-    total = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        pj = float(0.0)
-        if j < area.shape[0]:
-            pj = p[j] / wp.sqrt(area[j])
-        total += pair[k] * (pi - pj)
-    q[i] = poles.p[0][0] * p[i] + si * total
+    """q = (D + p_0) p with the matrix of `scale_pairs`."""
+    i = rows.first + wp.tid()
+    q[i] = (poles.p[0][0] + diag[i]) * p[i] + sum_differences(i, p, scaled, rows)
 
 
 @wp.kernel
@@ -338,7 +373,7 @@ def set_zeta(scalar: wp.array(dtype=float), poles: Poles, zeta: wp.array2d(dtype
     shift = poles.p[k] - poles.p[0]
     below = alpha * scalar[BETA] * (old - now) + alpha_old * c_mul(old, wp.vec2(1.0, 0.0) + alpha * shift)
     following = alpha_old * c_div(c_mul(now, old), below)
-    zeta[2, k] = alpha * c_div(following, now)
+    zeta[2, k] = c_mul(poles.g[k], alpha * c_div(following, now))
     zeta[1, k] = now
     zeta[0, k] = following
 
@@ -347,7 +382,6 @@ def set_zeta(scalar: wp.array(dtype=float), poles: Poles, zeta: wp.array2d(dtype
 def advance_shifted(
     scalar: wp.array(dtype=float),
     zeta: wp.array2d(dtype=wp.vec2),
-    poles: Poles,
     q: wp.array(dtype=float),
     real: wp.array(dtype=vec8),
     imag: wp.array(dtype=vec8),
@@ -361,10 +395,18 @@ def advance_shifted(
     di = imag[i]
     total = float(0.0)
     for k in range(8):
-        step = c_mul(poles.g[k], zeta[2, k])
+        step = zeta[2, k]
         total += step[0] * dr[k] - step[1] * di[k]
     x[i] = x[i] + total
     r[i] = r[i] - scalar[ALPHA] * q[i]
+
+
+@wp.kernel
+def set_turns(scalar: wp.array(dtype=float), zeta: wp.array2d(dtype=wp.vec2)):
+    """zeta[3] = beta (zeta_k/zeta_k^old)^2."""
+    k = wp.tid()
+    ratio = c_div(zeta[0, k], zeta[1, k])
+    zeta[3, k] = scalar[BETA] * c_mul(ratio, ratio)
 
 
 @wp.kernel
@@ -383,9 +425,7 @@ def direct_shifted(
     dr = real[i]
     di = imag[i]
     for k in range(8):
-        now = zeta[0, k]
-        ratio = c_div(now, zeta[1, k])
-        d = r[i] * now + beta * c_mul(c_mul(ratio, ratio), wp.vec2(dr[k], di[k]))
+        d = r[i] * zeta[0, k] + c_mul(zeta[3, k], wp.vec2(dr[k], di[k]))
         dr[k] = d[0]
         di[k] = d[1]
     real[i] = dr

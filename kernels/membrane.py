@@ -137,6 +137,7 @@ def apply_membrane_e(
     gas: wp.array2d(dtype=wp.float64),
     rigid: wp.array(dtype=wp.vec3),
     theta: float,
+    theta_whole: float,
     dt: float,
     # outputs
     u: wp.array(dtype=wp.vec3),
@@ -151,6 +152,7 @@ def apply_membrane_e(
         gas: gas slots.
         rigid: see `rigid_motion`.
         theta: 1 backward Euler, 1/2 midpoint; the pressure's share always counts in full.
+        theta_whole: the same for the motion of the film as a whole.
         dt: s.
         u: [n] m/s.
         u_mid: [n_e] m/s.
@@ -158,7 +160,7 @@ def apply_membrane_e(
     i = wp.tid()
     n = normal[i]
     q = float(gas[0, INCREMENT])
-    delta = change[i] + dt * wp.dot(rigid[2], n)
+    whole = dt * wp.dot(rigid[2], n)
     push = q * response[i]
-    u_mid[i] = wp.dot(u[i], n) + theta * delta + push
-    u[i] = u[i] + (delta + push) * n
+    u_mid[i] = wp.dot(u[i], n) + theta * change[i] + theta_whole * whole + push
+    u[i] = u[i] + (change[i] + whole + push) * n

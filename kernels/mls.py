@@ -5,9 +5,13 @@ from typing import Any
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.sph import kernel_w, tangent_basis
+from melp_warp.kernels.rows import fit_moments
+from melp_warp.kernels.sph import tangent_basis
 
 wp.set_module_options({"enable_backward": False})
+
+STEEPEST = wp.constant(4.0)
+"""Largest curvature that a fit may give, in 1/h = 3/r: clumped or collinear particles make it up."""
 
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 mat55 = wp.types.matrix(shape=(5, 5), dtype=wp.float32)
@@ -74,66 +78,17 @@ def fit_height(
         The Cholesky factor of the normal matrix and the coefficients c.
     """
     # The normal matrix holds only the moments of w up to the fourth order.
-    scale = 3.0 / r
     e1, e2 = tangent_basis(n)
-    p = x[i]
-    m20 = float(0.0)
-    m11 = float(0.0)
-    m02 = float(0.0)
-    m30 = float(0.0)
-    m21 = float(0.0)
-    m12 = float(0.0)
-    m03 = float(0.0)
-    m40 = float(0.0)
-    m31 = float(0.0)
-    m22 = float(0.0)
-    m13 = float(0.0)
-    m04 = float(0.0)
-    z1 = float(0.0)
-    z2 = float(0.0)
-    z3 = float(0.0)
-    z4 = float(0.0)
-    z5 = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        d = scale * (x[j] - p)
-        w = kernel_w(wp.length(d), 3.0)
-        if w > 0.0 and j < limit:
-            u = wp.dot(d, e1)
-            v = wp.dot(d, e2)
-            wz = w * wp.dot(d, n)
-            uu = u * u
-            uv = u * v
-            vv = v * v
-            z1 += wz * u
-            z2 += wz * v
-            z3 += wz * uu
-            z4 += wz * uv
-            z5 += wz * vv
-            wuu = w * uu
-            wuv = w * uv
-            wvv = w * vv
-            m20 += wuu
-            m11 += wuv
-            m02 += wvv
-            m30 += wuu * u
-            m21 += wuu * v
-            m12 += wvv * u
-            m03 += wvv * v
-            m40 += wuu * uu
-            m31 += wuu * uv
-            m22 += wuu * vv
-            m13 += wvv * uv
-            m04 += wvv * vv
+    m = fit_moments(i, x, e1, e2, n, rows, r, limit)
     a = mat55(
-        m20, m11, m30, m21, m12,
-        m11, m02, m21, m12, m03,
-        m30, m21, m40, m31, m22,
-        m21, m12, m31, m22, m13,
-        m12, m03, m22, m13, m04,
+        m[0], m[1], m[3], m[4], m[5],
+        m[1], m[2], m[4], m[5], m[6],
+        m[3], m[4], m[7], m[8], m[9],
+        m[4], m[5], m[8], m[9], m[10],
+        m[5], m[6], m[9], m[10], m[11],
     )  # fmt: skip
     low = cholesky(a)
-    return low, cholesky_solve(low, vec5(z1, z2, z3, z4, z5))
+    return low, cholesky_solve(low, vec5(m[12], m[13], m[14], m[15], m[16]))
 
 
 @wp.func
@@ -145,12 +100,15 @@ def slope_normal(c: vec5, n: wp.vec3) -> wp.vec3:
 
 @wp.func
 def fitted_curvature(c: vec5, h: float) -> float:
-    """Sum of principal curvatures kappa of z = c.b at the origin, signed along the normal (sphere: -2/R). 1/m."""
+    """Sum of principal curvatures kappa of z = c.b at the origin, signed along the normal (sphere: -2/R). 1/m.
+
+    At most `STEEPEST`/h, a radius of half an h, which no spacing resolves.
+    """
     zx = c[0]
     zy = c[1]
     g = 1.0 + zx * zx + zy * zy
     top = (1.0 + zy * zy) * (2.0 * c[2]) - 2.0 * zx * zy * c[3] + (1.0 + zx * zx) * (2.0 * c[4])
-    return top / (g * wp.sqrt(g) * h)
+    return wp.clamp(top / (g * wp.sqrt(g)), -STEEPEST, STEEPEST) / h
 
 
 @wp.struct

@@ -12,11 +12,16 @@ ALL = wp.constant(2)
 
 @wp.struct
 class Neighbors:
-    """Row i holds index[start[i]:stop[i]]."""
+    """Row i holds index[start[i]:stop[i]].
+
+    A kernel whose row is `rows.first + wp.tid()` and that writes that row alone is shared by CPU cores, see
+    `melp_warp.launch`: each is given its own `first`, which is 0 elsewhere.
+    """
 
     start: wp.array(dtype=wp.int32)
     stop: wp.array(dtype=wp.int32)
     index: wp.array(dtype=wp.int32)
+    first: int
 
 
 @wp.kernel
@@ -39,7 +44,7 @@ def fill_neighbors(
     points of the same set and region but not the point itself, OTHER for those of other regions, and ALL for the same
     region of another set; a null `region` stands for a single one. Row starts are set beforehand.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     first = rows.start[i]
     n = int(0)
@@ -53,6 +58,65 @@ def fill_neighbors(
             n += 1
     rows.stop[i] = first + wp.min(n, stride)
     wanted[i] = n
+
+
+@wp.kernel
+def return_strays_l(
+    x_e: wp.array(dtype=wp.vec3),
+    region_e: wp.array(dtype=wp.int32),
+    near: Neighbors,
+    region_l: wp.array(dtype=wp.int32),
+    n_e: int,
+    r: float,
+    stride: int,
+    # outputs
+    x_l: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    wanted: wp.array(dtype=wp.int32),
+):
+    """Put each L without an E within r onto the nearest E of its region, and list that E and its neighbours for it.
+
+    Its liquid then stays with the film. All E are looked at, which strays, being few, can afford.
+
+    Args:
+        x_e: [n] m.
+        region_e: [n] region of each E.
+        near: E:E neighbours.
+        region_l: [n_l] region of each L.
+        n_e: number of E; particles from here on are boundary.
+        r: support radius, m.
+        stride: room of a row of `rows`.
+        x_l: [n_l] m.
+        rows: L:E neighbours.
+        wanted: [n_l] length of the row that was asked for; -1 for a stray.
+    """
+    i = rows.first + wp.tid()
+    p = x_l[i]
+    first = rows.start[i]
+    astray = bool(True)
+    for k in range(first, rows.stop[i]):
+        j = rows.index[k]
+        if j < n_e and wp.length_sq(x_e[j] - p) < r * r:
+            astray = False
+            break
+    if astray:
+        nearest = float(1.0e30)
+        home = int(-1)
+        for j in range(n_e):
+            dd = wp.length_sq(x_e[j] - p)
+            if region_e[j] == region_l[i] and dd < nearest:
+                nearest = dd
+                home = j
+        if home >= 0:
+            x_l[i] = x_e[home]
+            rows.index[first] = home
+            n = int(1)
+            for k in range(near.start[home], near.stop[home]):
+                if n < stride:
+                    rows.index[first + n] = near.index[k]
+                    n += 1
+            rows.stop[i] = first + n
+            wanted[i] = -1
 
 
 @wp.kernel

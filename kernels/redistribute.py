@@ -65,6 +65,8 @@ def load_pressure_e(
 def shift_e(
     pressure: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    spread: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
     drift: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
@@ -84,6 +86,8 @@ def shift_e(
     Args:
         pressure: [n] C, m^2.
         x: [n] m.
+        region: [n] region of each E.
+        spread: see `summarize_spread_r`.
         u: [n] material velocity, m/s.
         drift: [n_e] tangential E velocity, m/s.
         normal: [n] unit normals.
@@ -91,18 +95,19 @@ def shift_e(
         rows: E:E neighbours.
         gradient: [pairs] gradient weights, 1/m.
         strength: beta, 0 to 1.
-        limit: largest shift, m.
+        limit: largest shift, m; up to four times as much where the E are so uneven that their spread is above 1.
         dt: s.
         x_new: [n_e] m.
         u_new: [n_e] velocity at the place moved to, m/s.
         drift_new: [n_e] drift with the shift's own velocity added (Algorithm 5, line 13), m/s.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = normal[i]
     shift = -strength * tangential(gradient_at(i, pressure, rows, gradient), n)
     size = wp.length(shift)
-    if size > limit:
-        shift = shift * (limit / size)
+    most = limit * wp.clamp(spread[region[i]][0], 1.0, 4.0)
+    if size > most:
+        shift = shift * (most / size)
     x_new[i] = x[i] + shift + wp.dot(shift, surface[i].second * shift) * n
     moved = shift + dt * drift[i]
     ui = u[i]

@@ -58,7 +58,7 @@ def dilation_e(
     dilation: wp.array(dtype=float),
 ):
     """div_s u of the whole velocity, so that normal motion of a curved film counts. [n_e], 1/s."""
-    i = wp.tid()
+    i = rows.first + wp.tid()
     ui = u[i]
     total = float(0.0)
     for k in range(rows.start[i], rows.stop[i]):
@@ -107,7 +107,7 @@ def assemble_surfactant_e(
         b: [n_e].
         start: [n_e] first guess.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     load = float(0.0)
     for k in range(rows.start[i], rows.stop[i]):
@@ -161,7 +161,7 @@ def accelerate_tangential_e(
         u: [n] m/s.
         traction: [n_e] tangential force of uneven tension, 2 grad_s sigma, Pa; null where nobody asks.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     n = normal[i]
     spread = wp.vec3()
@@ -216,7 +216,7 @@ def assemble_viscosity_e(
         b: [n_e].
         start: [n_e] first guess.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     mi = mass[i] / area[i]
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]

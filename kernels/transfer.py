@@ -3,6 +3,7 @@
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.rows import gather_row, moment_row, vec12, vec16, weigh_row
 from melp_warp.kernels.sph import kernel_w, tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -21,11 +22,10 @@ def normalize_l(
     r: float,
     n_e: int,
     density: float,
+    affinity: float,
     # outputs
     weight: wp.array(dtype=float),
-    share: wp.array(dtype=wp.vec3),
-    momentum: wp.array(dtype=wp.vec3),
-    slope: wp.array(dtype=wp.mat33),
+    given: wp.array(dtype=vec16),
     lost: wp.array(dtype=int),
 ):
     """What each L gives per weight W(E, L): its quantities over alpha_L = sum_E W of (6), E alone.
@@ -45,33 +45,29 @@ def normalize_l(
         r: support radius, m.
         n_e: number of E; boundary particles beyond take no part, so that the transfer conserves.
         density: rho, kg/m^3.
+        affinity: share of the affine part that is given: 1 APIC, 0 PIC.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
-        share: [n_l] (mass, surfactant, area m/(rho eta))/alpha.
-        momentum: [n_l] m (u - C o)/alpha, with o the weighted mean of the E as seen from the L.
-        slope: [n_l] m C/alpha.
+        given: [n_l] over alpha: momentum m (u - C o) with o the weighted mean of the E as seen from the L, its slope
+            m C, and mass, surfactant, area m/(rho eta), packed for `rows.gather_row`.
         lost: [n_l] 1 for an L that no E is near to.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i]
-    total = float(0.0)
-    mean = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        w = float(0.0)
-        if j < n_e:
-            d = x_e[j] - p
-            w = kernel_w(wp.length(d), r)
-            total += w
-            mean += w * d
-        weight[k] = w
+    sums = weigh_row(i, p, x_e, rows, r, n_e, weight)
+    mean = wp.vec3(sums[0], sums[1], sums[2])
+    total = sums[3]
     inverse = float(0.0)
     if total > 0.0:
         inverse = 1.0 / total
     m = mass_l[i] * inverse
-    c = affine_l[i]
-    share[i] = wp.vec3(m, surfactant_l[i] * inverse, m / (density * eta_l[i]))
-    momentum[i] = m * (u_l[i] - c * (inverse * mean))
-    slope[i] = m * c
+    c = affinity * affine_l[i]
+    v = m * (u_l[i] - c * (inverse * mean))
+    given[i] = vec16(
+        v[0], v[1], v[2], m,
+        m * c[0, 0], m * c[1, 0], m * c[2, 0], surfactant_l[i] * inverse,
+        m * c[0, 1], m * c[1, 1], m * c[2, 1], m / (density * eta_l[i]),
+        m * c[0, 2], m * c[1, 2], m * c[2, 2], 0.0,
+    )  # fmt: skip
     lost[i] = wp.where(total > 0.0, 0, 1)
 
 
@@ -81,9 +77,7 @@ def gather_l_to_e(
     rows: Neighbors,
     r: float,
     x_l: wp.array(dtype=wp.vec3),
-    share: wp.array(dtype=wp.vec3),
-    momentum: wp.array(dtype=wp.vec3),
-    slope: wp.array(dtype=wp.mat33),
+    given: wp.array(dtype=vec16),
     # outputs
     mass_e: wp.array(dtype=float),
     surfactant_e: wp.array(dtype=float),
@@ -97,30 +91,18 @@ def gather_l_to_e(
         rows: E:L neighbours.
         r: support radius, m.
         x_l: [n_l] m.
-        share: [n_l] from `normalize_l`, as the next two.
-        momentum: [n_l].
-        slope: [n_l].
+        given: [n_l] from `normalize_l`.
         mass_e: [n_e] kg.
         surfactant_e: [n_e] mol.
         claim_e: [n_e] area that the L take up at their thickness, m^2.
         momentum_e: [n_e] kg m/s.
     """
-    i = wp.tid()
-    p = x_e[i]
-    total = wp.vec3()
-    moving = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        d = p - x_l[j]
-        dd = wp.length_sq(d)
-        if dd < r * r:
-            w = kernel_w(wp.sqrt(dd), r)
-            total += w * share[j]
-            moving += w * (momentum[j] + slope[j] * d)
-    mass_e[i] = total[0]
-    surfactant_e[i] = total[1]
-    claim_e[i] = total[2]
-    momentum_e[i] = moving
+    i = rows.first + wp.tid()
+    total = gather_row(i, x_e[i], x_l, given, rows, r)
+    momentum_e[i] = wp.vec3(total[0], total[1], total[2])
+    mass_e[i] = total[3]
+    surfactant_e[i] = total[4]
+    claim_e[i] = total[5]
 
 
 @wp.kernel
@@ -151,12 +133,29 @@ def keep_normal_e(normal: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3)):
 
 
 @wp.kernel
+def pack_e(
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    growth: wp.array(dtype=float),
+    # outputs
+    pack: wp.array(dtype=vec12),
+):
+    """What L gather from each E, side by side for `rows.moment_row`. [n]; boundary particles have no growth."""
+    i = wp.tid()
+    g = float(0.0)
+    if i < growth.shape[0]:
+        g = growth[i]
+    p = x[i]
+    v = u[i]
+    n = normal[i]
+    pack[i] = vec12(p[0], p[1], p[2], v[0], v[1], v[2], 1.0, g, n[0], n[1], n[2], 0.0)
+
+
+@wp.kernel
 def gather_e_to_l(
     x_l: wp.array(dtype=wp.vec3),
-    x_e: wp.array(dtype=wp.vec3),
-    u_e: wp.array(dtype=wp.vec3),
-    normal_e: wp.array(dtype=wp.vec3),
-    growth_e: wp.array(dtype=float),
+    pack: wp.array(dtype=vec12),
     weight: wp.array(dtype=float),
     rows: Neighbors,
     # outputs
@@ -173,10 +172,7 @@ def gather_e_to_l(
 
     Args:
         x_l: [n_l] m.
-        x_e: [n] m.
-        u_e: [n] m/s.
-        normal_e: [n] unit normals.
-        growth_e: [n_e] relative change of the thickness in this step, see `thickness_growth_e`.
+        pack: [n] positions, velocities, normals and relative change of the thickness in this step, see `pack_e`.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
         u_l: [n_l] carried velocity sum W^ u_E, m/s.
@@ -185,29 +181,20 @@ def gather_e_to_l(
         normal_l: [n_l] unit normals.
         eta_l: [n_l] m.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i]
-    total = float(0.0)
-    growth = float(0.0)
-    first = wp.vec3()
+    sums = moment_row(i, p, pack, weight, rows)
+    total = sums[0, 6]
+    growth = sums[0, 7]
+    first = wp.vec3(sums[0, 0], sums[0, 1], sums[0, 2])
+    velocity = wp.vec3(sums[0, 3], sums[0, 4], sums[0, 5])
+    n = wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2])
     second = wp.mat33()
-    velocity = wp.vec3()
     moment = wp.mat33()
-    n = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        w = weight[k]
-        if w > 0.0:
-            j = rows.index[k]
-            d = x_e[j] - p
-            wu = w * u_e[j]
-            wd = w * d
-            total += w
-            first += wd
-            second += wp.outer(wd, d)
-            velocity += wu
-            moment += wp.outer(wu, d)
-            n += w * normal_e[j]
-            growth += w * growth_e[j]
+    for a in range(3):
+        for c in range(3):
+            second[a, c] = sums[a + 1, c]
+            moment[c, a] = sums[a + 1, 3 + c]
     if total > 0.0:
         n = wp.normalize(n)
         first = first / total
@@ -232,6 +219,51 @@ def gather_e_to_l(
 
 
 @wp.kernel
+def keep_fluctuation_l(
+    u_l: wp.array(dtype=wp.vec3),
+    u_e: wp.array(dtype=wp.vec3),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    share: float,
+    # outputs
+    kept: wp.array(dtype=wp.vec3),
+):
+    """What FLIP keeps of an L: `share` times u_L - sum W^ u_E, its own velocity less what the E make of it.
+
+    Added to the velocity (16) of the step's end, u_L = sum W^ u_E' + kept, it gives for share 1 u_L + sum W^ (u_E' -
+    u_E): FLIP (Brackbill and Ruppel 1986), here with the affine part of APIC kept on top. The mass-weighted sum of
+    u_L - sum W^ u_E over the L is 0, as the E hold the momentum of the L.
+
+    Args:
+        u_l: [n_l] carried velocity at the start of the step, m/s.
+        u_e: [n] the velocity that E received from L, before any force, m/s.
+        weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
+        rows: L:E neighbours.
+        share: of the fluctuation that is kept, 0 to 1.
+        kept: [n_l] m/s.
+    """
+    i = rows.first + wp.tid()
+    total = float(0.0)
+    mean = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
+        w = weight[k]
+        if w > 0.0:
+            total += w
+            mean += w * u_e[rows.index[k]]
+    own = wp.vec3()
+    if total > 0.0:
+        own = share * (u_l[i] - mean / total)
+    kept[i] = own
+
+
+@wp.kernel
+def add_fluctuation_l(kept: wp.array(dtype=wp.vec3), normal_l: wp.array(dtype=wp.vec3), u_l: wp.array(dtype=wp.vec3)):
+    """u_L += the part of `kept` along the film: the normal motion is the E's. [n_l], m/s."""
+    i = wp.tid()
+    u_l[i] += tangential(kept[i], normal_l[i])
+
+
+@wp.kernel
 def thickness_growth_e(
     dilation: wp.array(dtype=float),
     claim: wp.array(dtype=float),
@@ -239,13 +271,15 @@ def thickness_growth_e(
     dt: float,
     rate: float,
     slack: float,
+    most: float,
     # outputs
     growth: wp.array(dtype=float),
 ):
     """Relative growth of the thickness of the L around each E: (8), kept in step with eta_E.
 
     eta falls as the film dilates, and where the L at their thickness claim more area than the E control
-    (claim/area > 1) it is raised at `rate`: detail between L is carried, their mean cannot drift.
+    (claim/area > 1) it is raised at `rate`: detail between L is carried, their mean cannot drift. What is beyond
+    `most` is mended at once: L that meet head-on or leave a place empty do not obey (8).
 
     Args:
         dilation: [n_e] div_s u, 1/s.
@@ -254,14 +288,16 @@ def thickness_growth_e(
         dt: s.
         rate: share of the mismatch mended in this step, 0 to 1.
         slack: relative mismatch that is left alone: mending the noise of single E would sharpen it step by step.
+        most: relative mismatch beyond which it is mended at once.
         growth: [n_e].
     """
     i = wp.tid()
-    mismatch = float(0.0)
+    mended = float(0.0)
     if claim[i] > 0.0:
         mismatch = wp.log(claim[i] / area[i])
-        mismatch -= wp.clamp(mismatch, -slack, slack)
-    growth[i] = rate * mismatch - dt * dilation[i]
+        near = wp.clamp(mismatch, -most, most)
+        mended = rate * (near - wp.clamp(near, -slack, slack)) + mismatch - near
+    growth[i] = mended - dt * dilation[i]
 
 
 @wp.kernel
@@ -285,7 +321,7 @@ def interpolate_velocity_l(
 
     The path is that along the film and relative to the film as a whole: E have not moved yet.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x_l[i] + half_dt * tangential(v_l[i] - frame[region[i]], normal_l[i])
     total = float(0.0)
     first = wp.vec3()

@@ -10,7 +10,6 @@ from melp_warp.kernels import advance as ka
 from melp_warp.kernels import boundary as kb
 from melp_warp.kernels import redistribute as kr
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import Shared
 from melp_warp.linear import ConjugateGradient, LinearOperator
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
@@ -18,7 +17,7 @@ from melp_warp.state import State
 SHIFT_TOLERANCE = 0.05
 SHIFT_ITERATIONS = 20
 SHIFT_LIMIT = 0.1
-"""Largest shift of an E in one redistribution, in spacings."""
+"""Largest shift of an E in one redistribution, in spacings; more where the E are very uneven, see `shift_e`."""
 
 PROJECTION_REACH = 2.0
 """Reach of the fits that an L is projected with, in spacings: nearer fits are the better ones."""
@@ -35,6 +34,7 @@ class EulerianAdvance:
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.x_old = wp.clone(state.e.x)
         self._smoothed = film.zeros(film.n_e, wp.vec3)
+        self._near = film.zeros(lists.ee.rows.index.shape[0])
 
     def advance(self, u_mid: wp.array, frame: wp.array, dt: float) -> None:
         """Move E with the normal velocity, their drift and the film as a whole (19)."""
@@ -43,7 +43,7 @@ class EulerianAdvance:
         film.launch_e(
             ka.smooth_drift_e,
             [e.x, e.drift, self.lists.ee.rows, film.r, film.n_e, film.numerics.xsph],
-            [self._smoothed],
+            [self._near, self._smoothed],
         )
         wp.copy(e.drift, self._smoothed)
         film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, e.region, frame, dt], [e.x])
@@ -77,6 +77,8 @@ class Redistribution:
             [
                 self.solver.x,
                 e.x,
+                e.region,
+                self.spread,
                 e.u,
                 e.drift,
                 e.normal,
@@ -116,8 +118,8 @@ class LagrangianAdvance:
                 lag.region,
                 frame,
                 0.5 * dt,
-                Shared(x_e),
-                Shared(self.state.e.u),
+                x_e,
+                self.state.e.u,
                 self.lists.le.rows,
                 film.r,
                 film.n_e,
@@ -135,7 +137,7 @@ class LagrangianAdvance:
         if film.rim is not None:
             film.launch_l(
                 kb.confine_l,
-                [Shared(film.rim.anchors), Shared(film.rim.outward), self.lists.le.rows, film.n_e],
+                [film.rim.anchors, film.rim.outward, self.lists.le.rows, film.n_e],
                 [lag.x],
             )
 
@@ -145,7 +147,7 @@ class LagrangianAdvance:
         film.launch_l(
             ka.project_l,
             [
-                *(Shared(e.x), Shared(self.geometry.surface)),
+                *(e.x, self.geometry.surface),
                 *(self.lists.le.rows, PROJECTION_REACH * film.spacing, film.n_e),
             ],
             [self.state.l.x],

@@ -37,25 +37,27 @@ def fit_poles(low: float, high: float, air_density: float, radius: float) -> tup
     """Poles s_k > 0 and weights w_k > 0 with A(lambda) = sum_k w_k/(lambda + s_k) on [low, high].
 
     Least squares on the relative error, the best of a few ranges of logarithmically spaced poles. Up to 20,000 E it is
-    within 0.25 % on a closed film and 0.35 % on a plane one.
+    within 0.25 % on a closed film and 0.35 % on a plane one, at ten million E within 1.5 %. A range of few waves wants
+    fewer poles: with all, some weights would not be above 0.
 
     Returns:
-        Poles (1/m^2) and weights (kg/m^4), seven of each.
+        Poles (1/m^2) and weights (kg/m^4), seven of each or fewer.
     """
     lam = np.geomspace(low, high, 200)
     target = added_mass(lam, air_density, radius)
-    best = (np.inf, None, None)
-    for first in (0.05, 0.1, 0.2):
-        for last in (3.0, 6.0, 10.0):
-            poles = np.geomspace(first * low, last * high, POLES)
-            columns = 1.0 / (lam[:, None] + poles) / target[:, None]
-            weights = np.linalg.lstsq(columns, np.ones_like(lam), rcond=None)[0]
-            error = float(np.abs(columns @ weights - 1.0).max())
-            if np.all(weights > 0.0) and error < best[0]:
-                best = (error, poles, weights)
-    if best[1] is None:
-        raise ArithmeticError(f"no poles for the air's added mass between {low:g} and {high:g} 1/m^2")
-    return best[1], best[2]
+    for count in range(POLES, 0, -1):
+        best = (np.inf, None, None)
+        for first in (0.05, 0.1, 0.2):
+            for last in (3.0, 6.0, 10.0):
+                poles = np.geomspace(first * low, last * high, count)
+                columns = 1.0 / (lam[:, None] + poles) / target[:, None]
+                weights = np.linalg.lstsq(columns, np.ones_like(lam), rcond=None)[0]
+                error = float(np.abs(columns @ weights - 1.0).max())
+                if np.all(weights > 0.0) and error < best[0]:
+                    best = (error, poles, weights)
+        if best[1] is not None:
+            return best[1], best[2]
+    raise ArithmeticError(f"no poles for the air's added mass between {low:g} and {high:g} 1/m^2")
 
 
 def response(mass: float, stiffness: float, poles: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

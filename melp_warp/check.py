@@ -23,6 +23,7 @@ from melp_warp.usd import (
     frame_path,
     list_frames,
     open_layer,
+    origin_of,
 )
 
 PLAUSIBLE_THICKNESS = (1.0, 1e5)
@@ -211,6 +212,7 @@ def _check_frame(layer, frame: int, root, prims: list[str]) -> list[str]:
     unit = layer.customLayerData.get(METADATA_KEY, {}).get("thicknessUnit")
     problems += _expect(f"{name}: {METADATA_KEY}.thicknessUnit", unit, THICKNESS_UNIT)
     for prim in prims:
+        problems += _expect(f"{name}: /World/{prim}: origin", origin_of(layer, prim), origin_of(root, prim))
         arrays = {}
         for attribute in ATTRIBUTES:
             found = _check_declaration(name, layer, prim, attribute)

@@ -1,4 +1,4 @@
-"""The command line: `melp-warp run | scenes | preview | check | measure`."""
+"""The command line: `melp-warp run | scenes | preview | check | measure | tradeoff`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from melp_warp import __version__
-from melp_warp.errors import InputError, SimulationError
+from melp_warp.errors import InputError, SimulationError, require
 from melp_warp.tables import columns
+
+if TYPE_CHECKING:
+    from melp_warp.registry import SceneScript
 
 OK, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -68,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_preview(commands)
     _add_check(commands)
     _add_measure(commands)
+    _add_tradeoff(commands)
     return parser
 
 
@@ -82,6 +87,12 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     step.add_argument("--cfl", metavar="C", help="largest motion in a step, E spacings (sets dt to auto)")
     run.add_argument("--seed", metavar="N", help="seed of everything random")
     run.add_argument(
+        "--quality",
+        metavar="Q",
+        default="standard",
+        help="draft, standard, fine or paper; keys that are given override it",
+    )
+    run.add_argument(
         "--set", metavar="KEY=VALUE", nargs="+", action="extend", default=[], help="change numbers of the scene"
     )
     run.add_argument("--out", metavar="DIR", type=Path, help="folder to write, new or empty (default: out/NAME)")
@@ -90,6 +101,9 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     )
     run.add_argument("--preview", action="store_true", help="draw preview.png and contact.png at the end")
     run.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    run.add_argument(
+        "--estimate", action="store_true", help="print memory, time and disk of the run from a few steps; write nothing"
+    )
     run.set_defaults(command=_run)
 
 
@@ -135,12 +149,29 @@ def _add_measure(commands: argparse._SubParsersAction) -> None:
     measure.set_defaults(command=_measure)
 
 
+def _add_tradeoff(commands: argparse._SubParsersAction) -> None:
+    study = commands.add_parser(
+        "tradeoff",
+        help="measure speed against accuracy for a scene",
+        description="Run a scene small over the knobs, against a finer run, and tell error and cost of each.",
+    )
+    study.add_argument("scene", metavar="NAME|PATH.py", help="a scene of `melp-warp scenes`, or a scene file")
+    study.add_argument(
+        "--set", metavar="KEY=VALUE", nargs="+", action="extend", default=[], help="change numbers of the scene"
+    )
+    study.add_argument("--e", metavar="N", type=int, default=400, help="E of the standard run (default: 400)")
+    study.add_argument("--frames", metavar="N", type=int, default=12, help="frames of each run (default: 12)")
+    study.add_argument("--out", metavar="DIR", type=Path, help="folder for tradeoff.csv, .json and .png; new or empty")
+    study.set_defaults(command=_tradeoff)
+
+
 def _run(options: argparse.Namespace) -> int:
     from melp_warp import runner
+    from melp_warp.quality import find_quality
     from melp_warp.registry import load_scene
 
     script = load_scene(options.scene)
-    values = script.parameters.values(script.parameters.parse(_settings(options)))
+    values = find_quality(options.quality).values(script, script.parameters.parse(_settings(options)))
     plan = runner.Plan(
         scene=script.build(values),
         name=script.name,
@@ -151,6 +182,9 @@ def _run(options: argparse.Namespace) -> int:
         preview=options.preview,
         quiet=options.quiet,
     )
+    if options.estimate:
+        print(runner.estimate(plan).table())
+        return OK
     return runner.run(plan)
 
 
@@ -176,7 +210,7 @@ def _scenes(options: argparse.Namespace) -> int:
         rows.append(
             (
                 name,
-                "auto" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value),
+                _shown(value),
                 key.unit,
                 key.meaning,
                 key.limits,
@@ -184,7 +218,23 @@ def _scenes(options: argparse.Namespace) -> int:
         )
     print(f"{script.name}: {script.description}\n")
     print(columns(rows))
+    print("\nWhat --quality changes:\n")
+    print(columns(_quality_rows(script)))
     return OK
+
+
+def _quality_rows(script: SceneScript) -> list[tuple[str, ...]]:
+    """Header and a row for every key that a quality changes in a scene."""
+    from melp_warp.quality import QUALITIES
+
+    columns = {name: quality.values(script).as_dict() for name, quality in QUALITIES.items()}
+    keys = [key for key in script.parameters if len({values[key] for values in columns.values()}) > 1]
+    return [("key", *columns), *((key, *(_shown(values[key]) for values in columns.values())) for key in keys)]
+
+
+def _shown(value: object) -> str:
+    """A value as it is typed."""
+    return "auto" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _preview(options: argparse.Namespace) -> int:
@@ -216,4 +266,16 @@ def _measure(options: argparse.Namespace) -> int:
     if options.json is not None:
         options.json.write_text(json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
     print(found.table())
+    return OK
+
+
+def _tradeoff(options: argparse.Namespace) -> int:
+    from melp_warp import runner
+    from melp_warp.registry import load_scene
+
+    require(options.e >= 1, "--e", options.e, "a whole number above 0")
+    require(options.frames >= 1, "--frames", options.frames, "a whole number above 0")
+    script = load_scene(options.scene)
+    overrides = script.parameters.parse(options.set)
+    print(runner.trade(script, overrides, options.e, options.frames, options.out))
     return OK

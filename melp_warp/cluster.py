@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -123,6 +124,15 @@ class Merge:
 Event = Pop | Merge
 
 
+def _overlap(one: int, two: int, radius: float, other: float, depth: float) -> str:
+    """What to say of two bubbles that overlap by `depth` (m)."""
+    message = f"bubbles {one} and {two} must not overlap at the start, they do by {depth:.3g} m"
+    if depth < 2.0 * min(radius, other):
+        return message
+    inner, outer = (one, two) if radius < other else (two, one)
+    return f"{message}: {inner} lies inside {outer}, but a region is all that one closed film encloses"
+
+
 @dataclass(frozen=True)
 class Cluster(Shape):
     """Bubbles, numbered as listed, the walls around them and the events of the run.
@@ -163,8 +173,7 @@ class Cluster(Shape):
             depth = radius[i] + radius[i + 1 :] - np.linalg.norm(centre[i + 1 :] - centre[i], axis=1)
             if len(depth) and depth.max() > 1e-6 * radius[i]:
                 k = int(np.argmax(depth))
-                pair = f"bubbles {first[i]} and {first[i + 1 + k]}"
-                raise InputError(f"{pair} must not overlap at the start, they do by {depth[k]:.3g} m")
+                raise InputError(_overlap(first[i], first[i + 1 + k], radius[i], radius[i + 1 + k], depth[k]))
 
     def _check_walls(self) -> None:
         for k, b in enumerate(self.bubbles):
@@ -182,6 +191,20 @@ class Cluster(Shape):
     def area(self) -> float:
         """Area of the bubbles that are there from the start, m^2."""
         return sum(4.0 * np.pi * self.bubbles[k].radius ** 2 for k in self.initial)
+
+    @property
+    def smallest(self) -> int:
+        """Number of the smallest bubble, also one to be born."""
+        return int(np.argmin([b.radius for b in self.bubbles]))
+
+    def fewest_e(self, support: float) -> int:
+        """Fewest E at the start with which the smallest bubble is two supports (in E spacings) across."""
+        return math.ceil(self.area * (support / self.bubbles[self.smallest].radius) ** 2)
+
+    @property
+    def growth(self) -> float:
+        """Area of all bubbles over that of those which are there from the start."""
+        return sum(4.0 * np.pi * b.radius**2 for b in self.bubbles) / self.area
 
     def sample(self, count: int, offset: float = 0.0) -> Samples:
         """Spread about `count` points evenly over the bubbles that are there from the start; see `Samples.region`."""

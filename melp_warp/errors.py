@@ -12,6 +12,14 @@ class SimulationError(RuntimeError):
     """
 
 
+class CrowdedError(SimulationError):
+    """A neighbour list overflowed: what was done since the last good state can be done again with more room."""
+
+
+class LeapError(SimulationError):
+    """Particles moved too far in a step: what was done since the last good state can be done again in smaller ones."""
+
+
 def require(condition: bool, field: str, value: object, allowed: str) -> None:
     """Raise `InputError("FIELD must be ALLOWED, got VALUE")` unless `condition` holds."""
     if not condition:

@@ -44,6 +44,14 @@ class Events:
         self.pending = [event for event in self.pending if event.time > time + 1e-12]
         self.unborn = list(unborn)
 
+    def mark(self) -> tuple[list[Event], list[int]]:
+        """What is to come, to go `back` to."""
+        return list(self.pending), list(self.unborn)
+
+    def back(self, mark: tuple[list[Event], list[int]]) -> None:
+        """Let come again what was to come when `mark` was taken."""
+        self.pending, self.unborn = (list(one) for one in mark)
+
     def following(self, time: float) -> float | None:
         """Time of the next change that is not due yet, s; None for none."""
         times = [event.time for event in self.pending[:1]]
@@ -63,7 +71,7 @@ class Events:
                 return change
         if not self._popping and not self.unborn:
             return None
-        x = simulation.state.e.x.numpy()
+        x = simulation.state.e.x.numpy() + simulation.state.origin
         return self._at_walls(x, simulation) or self._birth(x, time, simulation)
 
     def _scripted(self, event: Event, simulation: Simulation) -> Callable[[Stored], None] | None:
@@ -82,7 +90,7 @@ class Events:
 
     def _at_walls(self, x: np.ndarray, simulation: Simulation) -> Callable[[Stored], None] | None:
         for wall in self._popping:
-            height = (x - np.array(wall.point, dtype=np.float32)) @ np.array(wall.normal, dtype=np.float32)
+            height = (x - np.array(wall.point)) @ np.array(wall.normal)
             near = np.flatnonzero(height < WALL_REACH * simulation.film.spacing)
             if len(near) and len(simulation.film.labels) > 1:
                 return self._pop(int(simulation.state.e.region.numpy()[near].min()), simulation)
@@ -94,7 +102,7 @@ class Events:
             bubble = self.cluster.bubbles[label]
             if bubble.born > time:
                 return None
-            room = np.linalg.norm(x - np.array(bubble.centre, dtype=np.float32), axis=1)
+            room = np.linalg.norm(x - np.array(bubble.centre), axis=1)
             if room.min(initial=np.inf) > bubble.radius + CLEARANCE * simulation.film.spacing:
                 self.unborn.remove(label)
                 particles, gauge = self._new_bubble(label, simulation)
@@ -126,7 +134,7 @@ class Events:
                 eta, mass, amount = liquid(scene, s.points, s.area, np.full(len(s.points), thickness))
                 velocity = np.broadcast_to(np.array(bubble.velocity), s.points.shape)
                 particles[kind] = {
-                    "x": s.points,
+                    "x": s.points - simulation.state.origin,
                     "normal": s.normals,
                     "u": velocity,
                     "v": velocity,

@@ -55,3 +55,18 @@ class Features:
             foam=foam,
             air=moving and scene.surroundings.air == "added_mass",
         )
+
+    def kernels(self) -> list[str]:
+        """Files of `melp_warp.kernels` whose kernels a run launches."""
+        needed = {
+            **dict.fromkeys(("neighbors", "geometry", "cells", "gas", "diagnostics", "surfactant", "transfer"), True),
+            "forces": True,
+            "linear": self.moving or self.marangoni or self.viscous,
+            "advance": self.moving or self.lagrangian,
+            "redistribute": self.moving,
+            "membrane": self.moving and not self.foam,
+            "motion": self.moving,
+            "boundary": self.rim,
+            "foam": self.foam,
+        }
+        return [name for name, wanted in needed.items() if wanted]

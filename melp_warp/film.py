@@ -45,6 +45,7 @@ class Film:
         seed: of everything random.
         walls: planes that a foam touches.
         radius: radius of the sphere of the film's volume, for the air's added mass; infinite for an open film, m.
+        room: room of a neighbour list's row over the longest one when the list was made.
     """
 
     device: wp.Device
@@ -63,6 +64,7 @@ class Film:
     walls: tuple[Wall, ...] = ()
     rim: RimArrays | None = None
     radius: float = float("inf")
+    room: float = 1.4
 
     @property
     def total(self) -> int:
@@ -109,11 +111,11 @@ class Film:
         return self.zeros(self.regions * max(4, CHUNKS // self.regions), dtype)
 
     def launch_e(self, kernel, inputs, outputs=()) -> None:
-        """One thread an E."""
+        """One thread an E; kernels over neighbours are shared by CPU cores."""
         launch(kernel, self.n_e, inputs, outputs, self.device)
 
     def launch_l(self, kernel, inputs, outputs=()) -> None:
-        """One thread an L; L touch their own entries alone, so CPU cores share them."""
+        """One thread an L; L write their own entries alone, so CPU cores share them."""
         launch_rows(kernel, self.n_l, inputs, outputs, self.device)
 
     def launch_parts(self, kernel, inputs, outputs=()) -> None:

@@ -26,8 +26,8 @@ from melp_warp.neighbors import NeighborLists, check_room, fixed_rows
 from melp_warp.state import State
 from melp_warp.surfactant import Fields
 
-CONTACT_ROOM = 96
-"""Room for the E that one E presses on, besides its star."""
+CONTACT_ROOM = 70
+"""Room for the E that one E presses on, besides its star, over `Film.room`."""
 
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
@@ -123,7 +123,7 @@ class FoamMembrane:
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
         self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
         self._debt = film.zeros(2, wp.vec4)
-        self._stride = CORNERS + CONTACT_ROOM
+        self._stride = CORNERS + int(CONTACT_ROOM * film.room)
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
         self.response = GasConjugateGradient(

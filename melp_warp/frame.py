@@ -12,7 +12,7 @@ class ParticleFrame:
     """A particle set at one instant, sorted by id. SI units, except thickness (nanometres).
 
     Attributes:
-        points: [n, 3] float32, m.
+        points: [n, 3] float32, m, from `origin`.
         velocities: [n, 3] float32, m/s (material velocity).
         ids: [n] int64, stable over the run, ascending.
         widths: [n] float32, m, particle diameter for display.
@@ -20,6 +20,7 @@ class ParticleFrame:
         thickness: [n] float32, nm.
         region: [n] int32, index of the film region.
         black_film: [n] int32, 1 where the particle is Newton black film.
+        origin: where the points are measured from, m; the same in all frames of a run.
     """
 
     points: np.ndarray
@@ -30,3 +31,4 @@ class ParticleFrame:
     thickness: np.ndarray
     region: np.ndarray
     black_film: np.ndarray
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -46,7 +46,7 @@ class Geometry:
         self.surface = film.zeros(film.n_e, Quadric)
         self.gradient = film.zeros(pairs, wp.vec3)
         self.inner_gradient = film.zeros(pairs, wp.vec3) if film.features.rim else self.gradient
-        self.weight = film.zeros(pairs)
+        self.weight, self._near = film.zeros(pairs), film.zeros(pairs)
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
@@ -71,7 +71,7 @@ class Geometry:
             [e.x, e.normal, self.surface, rows, film.r],
             [self.cell, self._flux, self._bulge, self.star, self._found],
         )
-        film.launch_e(kc.control_area_e, [e.x, self.cell, self._inner, rows, film.r, film.n_e], [self.area])
+        film.launch_e(kc.control_area_e, [self.cell, self._inner, self._near, rows, film.r, film.n_e], [self.area])
         self._weigh_pairs()
         self.measure_volume()
         if film.features.foam:
@@ -102,7 +102,9 @@ class Geometry:
     def update_density(self) -> None:
         """Number density (9) at the present positions."""
         film, e = self.film, self.state.e
-        film.launch_e(kg.density_e, [e.x, self.lists.ee.rows, film.r, film.n_e], [self.density, self._inner])
+        film.launch_e(
+            kg.density_e, [e.x, self.lists.ee.rows, film.r, film.n_e], [self._near, self.density, self._inner]
+        )
 
     def curvature(self, x: wp.array) -> wp.array:
         """Curvature of the surface through the points x, by the operator the scene chose. [n_e], 1/m."""

@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+import inspect
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import cache
+from importlib import import_module
 
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
 
 THREADS = int(os.environ.get("MELP_WARP_THREADS", "0")) or os.cpu_count() or 1
-"""Threads that share a `launch_rows` on the CPU. Results do not depend on it."""
+"""CPU threads that share a launch. Results do not depend on it."""
 
-ROWS_A_THREAD = 4096
-"""Fewer L than this are not worth a thread of their own."""
+ROWS_A_THREAD = 1024
+"""Fewest rows of neighbours worth a CPU thread."""
+
+ENTRIES_A_THREAD = 16384
+"""Fewest entries of an array worth a CPU thread where a kernel looks at nothing else."""
+
+ALONE_ROWS = 12000
+"""Rows of neighbours from which a sequence gains more from cores than from being captured."""
+
+CPU_BLOCK = 1
+"""Threads of a block on the CPU, part of what a module is compiled for."""
 
 _pool = ThreadPoolExecutor(THREADS)
+_shared = True
 
 
 class Shared:
@@ -26,14 +40,11 @@ class Shared:
         self.array = array
 
 
-def launch_rows(
-    kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None, least: int = ROWS_A_THREAD
-) -> None:
-    """Launch a kernel whose thread i touches entry i alone of every array of length `dim`, on all CPU cores.
+def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None, least: int = ROWS_A_THREAD) -> None:
+    """Launch `kernel` over `dim` threads; nothing happens for dim 0.
 
-    Each thread gets its range of those arrays and of the neighbour rows; arrays of other lengths are shared, and so
-    are those marked `Shared`. Mark every array that is read at a neighbour's index: its length may be `dim` by chance.
-    Nothing is summed across threads, so the result is the same to the bit.
+    On the CPU all cores share a kernel whose row is `rows.first + wp.tid()`: each is given a range of the rows. Such a
+    kernel reads what it likes and writes row i of its outputs, so the result is the same to the bit.
 
     Args:
         kernel: the kernel.
@@ -43,26 +54,65 @@ def launch_rows(
         device: where to run.
         least: fewest rows worth a CPU thread.
     """
-    parts = min(THREADS, dim // least)
-    if parts < 2 or wp.get_device(device).is_cuda:
-        launch(kernel, dim, [_whole(a) for a in inputs], outputs, device)
+    if not _starts_anywhere(kernel.func):
+        _launch(kernel, dim, inputs, outputs, device)
         return
-    edges = [dim * k // parts for k in range(parts + 1)]
-    kernel.module.load(wp.get_device(device))
 
-    def run(k: int) -> None:
-        first, last = edges[k], edges[k + 1]
+    def run(first: int, last: int) -> None:
+        parts = [[_from(a, first) for a in arguments] for arguments in (inputs, outputs)]
+        _launch(kernel, last - first, *parts, device)
+
+    _share(kernel, dim, least, device, run)
+
+
+def launch_rows(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None) -> None:
+    """As `launch`, and share a kernel whose thread i touches entry i alone of every array of length `dim`.
+
+    Each core gets its range of those arrays and of the neighbour rows; arrays of other lengths are shared, and so are
+    those marked `Shared`: mark what is read at another index, its length may be `dim` by chance.
+    """
+    if _starts_anywhere(kernel.func):
+        launch(kernel, dim, inputs, outputs, device)
+        return
+
+    def run(first: int, last: int) -> None:
         cut = [[_cut(a, dim, first, last) for a in arguments] for arguments in (inputs, outputs)]
-        launch(kernel, last - first, *cut, device)
+        _launch(kernel, last - first, *cut, device)
 
-    others = [_pool.submit(run, k) for k in range(1, parts)]
-    run(0)
+    _share(kernel, dim, ENTRIES_A_THREAD, device, run)
+
+
+def _launch(kernel, dim: int, inputs: Sequence, outputs: Sequence, device) -> None:
+    if dim > 0:
+        wp.launch(kernel, dim=dim, inputs=list(inputs), outputs=list(outputs), device=device)
+
+
+@cache
+def _starts_anywhere(function: Callable) -> bool:
+    """Whether a kernel takes its row from where its rows start."""
+    return "rows.first + wp.tid()" in inspect.getsource(function)
+
+
+def _share(kernel, dim: int, least: int, device, run: Callable[[int, int], None]) -> None:
+    """Call run(first, last) for ranges that make up 0 to `dim`, one a core."""
+    alone = not _shared or wp.get_device(device).is_cuda
+    parts = 1 if alone else max(1, min(THREADS, dim // least))
+    edges = [dim * k // parts for k in range(parts + 1)]
+    if parts > 1:
+        kernel.module.load(wp.get_device(device), CPU_BLOCK)  # not by every thread at once
+    others = [_pool.submit(run, edges[k], edges[k + 1]) for k in range(1, parts)]
+    run(0, edges[1])
     for other in others:
         other.result()
 
 
-def _whole(argument):
-    return argument.array if isinstance(argument, Shared) else argument
+def _from(argument, first: int):
+    """An argument for rows from `first` on."""
+    if isinstance(argument, Shared):
+        argument = argument.array
+    if first > 0 and hasattr(argument, "first"):
+        return _neighbors(argument.start, argument.stop, argument.index, first)
+    return argument
 
 
 def _cut(argument, dim: int, first: int, last: int):
@@ -71,36 +121,64 @@ def _cut(argument, dim: int, first: int, last: int):
         return argument.array
     if isinstance(argument, wp.array) and argument.shape[0] == dim:
         return argument[first:last]
-    if hasattr(argument, "stop") and argument.start.shape[0] == dim:
-        rows = Neighbors()
-        rows.start, rows.stop, rows.index = argument.start[first:last], argument.stop[first:last], argument.index
-        return rows
+    if hasattr(argument, "first") and argument.start.shape[0] == dim:
+        return _neighbors(argument.start[first:last], argument.stop[first:last], argument.index, 0)
     return argument
 
 
-def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None) -> None:
-    """Launch `kernel` over `dim` threads; nothing happens for dim 0."""
-    if dim > 0:
-        wp.launch(kernel, dim=dim, inputs=list(inputs), outputs=list(outputs), device=device)
+def _neighbors(start: wp.array, stop: wp.array, index: wp.array, first: int) -> Neighbors:
+    rows = Neighbors()
+    rows.start, rows.stop, rows.index, rows.first = start, stop, index, first
+    return rows
+
+
+def compile_kernels(names: Iterable[str], device) -> None:
+    """Compile kernel files side by side, as far as the cache lacks them, and not one by one at their first launch.
+
+    Args:
+        names: modules of `melp_warp.kernels`.
+        device: where they are to run.
+    """
+    modules = [wp.get_module(import_module(f"melp_warp.kernels.{name}").__name__) for name in names]
+    wp.force_load(device, modules, max_workers=THREADS)
 
 
 class Recorded:
     """A sequence of launches that is captured as a graph at its first run and replayed from then on.
 
-    The arrays it touches and their sizes are baked in: make a new one when they are replaced.
+    The arrays it touches and their sizes are baked in: make a new one when they are replaced. A graph runs on one CPU
+    core: from `rows` of `ALONE_ROWS` on the sequence is run launch by launch instead, by all of them.
+
+    Args:
+        body: launches the sequence.
+        device: where to run.
+        rows: threads of the largest launch.
     """
 
-    def __init__(self, body: Callable[[], None], device):
+    def __init__(self, body: Callable[[], None], device, rows: int = 0):
         self._body = body
-        self._device = device
+        self._device = wp.get_device(device)
+        self._eager = not self._device.is_cuda and THREADS > 1 and rows >= ALONE_ROWS
         self._graph = None
 
     def __call__(self) -> None:
         """Run the sequence."""
-        if self._graph is None:
-            self._body()  # the first run loads every module, which a capture must not do
-            with wp.ScopedCapture(device=self._device) as capture:
-                self._body()
+        if self._eager:
+            self._body()
+        elif self._graph is None:
+            with _one_thread():
+                self._body()  # the first run loads every module, which a capture must not do
+                with wp.ScopedCapture(device=self._device) as capture:
+                    self._body()
             self._graph = capture.graph
         else:
             wp.capture_launch(self._graph)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Launch from this thread alone: none other may launch during a capture."""
+    global _shared  # noqa: PLW0603
+    _shared, before = False, _shared
+    yield
+    _shared = before

@@ -50,7 +50,7 @@ class _Solver:
         self.control = wp.array([tolerance, math.ceil(max_iterations / stride)], dtype=wp.float32, device=device)
         self.part_a = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
         self.part_b = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
-        self._run = Recorded(self._body, device)
+        self._run = Recorded(self._body, device, n)
 
     def _launch(self, kernel, inputs, outputs=(), dim=None):
         launch(kernel, self.n if dim is None else dim, inputs, outputs, self.device)
@@ -205,7 +205,9 @@ class RationalLaplacian(_Solver):
         self.b, self.r, self.q, self.y, self.x = (wp.zeros(n, dtype=wp.float32, device=device) for _ in range(5))
         self.p = wp.zeros(total, dtype=wp.float32, device=device)
         self.real, self.imag = (wp.zeros(n, dtype=k.vec8, device=device) for _ in range(2))
-        self.zeta = wp.zeros((3, k.POLES), dtype=wp.vec2, device=device)
+        self.diag = wp.zeros(n, dtype=wp.float32, device=device)
+        self.scaled = wp.zeros(pair.shape[0], dtype=wp.float32, device=device)
+        self.zeta = wp.zeros((4, k.POLES), dtype=wp.vec2, device=device)
         self.poles = k.Poles()
         self.poles.p, self.poles.g = (wp.zeros(k.POLES, dtype=wp.vec2, device=device) for _ in range(2))
         self.poles.weight = wp.zeros(k.POLES, dtype=wp.float32, device=device)
@@ -234,6 +236,7 @@ class RationalLaplacian(_Solver):
         self.poles.weight.assign((weight / size).astype(np.float32))
 
     def _body(self):
+        self._launch(k.scale_pairs, [self.area, self.pair, self.rows], [self.scaled, self.diag])
         self._launch(k.start_shifted, [self.b, self.area], [self.r, self.p, self.real, self.imag, self.y])
         self._launch(k.start_zeta, [], [self.zeta], dim=k.POLES)
         self._dot(self.r, self.r, self.part_a)
@@ -242,14 +245,13 @@ class RationalLaplacian(_Solver):
         self._launch(k.unscale, [self.y, self.area], [self.x])
 
     def _iterate(self):
-        self._launch(k.apply_shifted, [self.p, self.area, self.pair, self.poles, self.rows], [self.q])
+        self._launch(k.apply_shifted, [self.p, self.diag, self.scaled, self.poles, self.rows], [self.q])
         self._dot(self.p, self.q, self.part_a)
         self._launch(k.set_alpha, [self.part_a], [self.scalar], dim=1)
         self._launch(k.set_zeta, [self.scalar, self.poles], [self.zeta], dim=k.POLES)
-        self._launch(
-            k.advance_shifted, [self.scalar, self.zeta, self.poles, self.q, self.real, self.imag], [self.y, self.r]
-        )
+        self._launch(k.advance_shifted, [self.scalar, self.zeta, self.q, self.real, self.imag], [self.y, self.r])
         self._dot(self.r, self.r, self.part_a)
         self._launch(k.set_beta, [self.part_a, self.control, 0.0], [self.scalar, self.go], dim=1)
+        self._launch(k.set_turns, [self.scalar], [self.zeta], dim=k.POLES)
         self._launch(k.direct_shifted, [self.scalar, self.zeta, self.r], [self.p, self.real, self.imag])
         self._launch(k.stop_shifted, [self.zeta, self.poles], [self.scalar, self.go], dim=1)

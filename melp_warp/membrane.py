@@ -23,6 +23,9 @@ SWEEPS = 2
 """Corrections for an uneven film mass where the air takes part; each shrinks the error by |m - mean|/(m + A)."""
 
 
+MIDPOINT_CFL = 8.0
+"""Spacings that the shortest wave may run in a step of the midpoint rule; beyond, it goes over to backward Euler."""
+
 OFFSET_LIMIT = 0.1
 """Largest offset that mends the volume in one step, in spacings."""
 
@@ -122,6 +125,14 @@ class AirResponse:
         return self.solver.report(self._load_scalar)
 
 
+def _shortest_wave_speed(film: Film) -> float:
+    """Speed of a wave of two spacings, m/s."""
+    mass = film.material.areal_mass
+    if film.features.air:
+        mass += air.added_mass((np.pi / film.spacing) ** 2, film.surroundings.air_density, film.radius)
+    return float(np.sqrt(2.0 * film.material.film_tension / mass))
+
+
 class Membrane:
     """Normal dynamics. Made only for films whose surface moves.
 
@@ -129,6 +140,10 @@ class Membrane:
     velocity is solved for: rigid motion and free flight cost nothing and are not damped.
 
     Attributes:
+        theta: 1 for backward Euler, 1/2 for the midpoint rule. The midpoint rule keeps every wave, those too that a
+            large step does not resolve, and the operator in the matrix is softer for the shortest than the force: they
+            grow. So theta rises to 1 where the shortest wave runs more than `MIDPOINT_CFL` spacings in a step.
+        theta_whole: the same for the motion of the film as a whole, which has no stiffness.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [1] velocity of the film as a whole at the start of the step, m/s.
         frame: [1] the same in the step; that of its end is `State.motion`.
@@ -146,8 +161,10 @@ class Membrane:
     ):
         self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
         self.forces, self.rim = forces, rim
-        self.theta = {"backward_euler": 1.0, "trapezoid": 0.5, "explicit": 1.0}[film.numerics.scheme]
+        self.midpoint = film.numerics.scheme == "trapezoid"
+        self.theta = self.theta_whole = 0.5 if self.midpoint else 1.0
         self.explicit = film.numerics.scheme == "explicit"
+        self._wave_speed = _shortest_wave_speed(film)
         n = film.n_e
         self.predicted = film.zeros(film.total, wp.vec3)
         self.force, self.external, self.u_mid = film.zeros(n), film.zeros(n), film.zeros(n)
@@ -169,6 +186,8 @@ class Membrane:
 
     def solve(self, dt: float) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
+        if self.midpoint:
+            self.theta = max(0.5, 1.0 - 0.5 * MIDPOINT_CFL * self.film.spacing / (self._wave_speed * dt))
         ahead = 0.0 if self.explicit else self.theta * dt
         if self.film.features.closed:
             self._find_motion(self.found)
@@ -182,7 +201,7 @@ class Membrane:
             self.film.launch_one(ko.push_motion, [self.rigid, dt], [self.state.motion])
         self.film.launch_e(
             km.apply_membrane_e,
-            [self.state.e.normal, change, unit, self.state.gas, self.rigid, self.theta, dt],
+            [self.state.e.normal, change, unit, self.state.gas, self.rigid, self.theta, self.theta_whole, dt],
             [self.state.e.u, self.u_mid],
         )
 
@@ -287,11 +306,11 @@ class Membrane:
             [self.moment, self.inertia, self.net, self.added, w / (1.0 + w), dt],
             [self.kick, self.state.motion],
         )
-        film.launch_e(ko.apply_recoil_e, [e.normal, self.kick, self.theta], [e.u, self.u_mid])
+        film.launch_e(ko.apply_recoil_e, [e.normal, self.kick, self.theta_whole], [e.u, self.u_mid])
 
     def find_frame(self) -> None:
         """Set `frame`, once all that moves the film as a whole in this step is known."""
-        self.film.launch_one(ko.blend_motion, [self.start, self.state.motion, self.theta], [self.frame])
+        self.film.launch_one(ko.blend_motion, [self.start, self.state.motion, self.theta_whole], [self.frame])
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""

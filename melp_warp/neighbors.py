@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from melp_warp.errors import SimulationError
+from melp_warp.errors import CrowdedError, LeapError
 from melp_warp.film import Film
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import neighbors as kn
-from melp_warp.launch import Shared, launch, launch_rows
+from melp_warp.launch import launch
 from melp_warp.state import State
 
 GRID_CELLS = 64
-ROOM = 1.4
-"""Room of a row over the longest one when it was made."""
+STRAYS = 0.01
+"""Share of the L that may lose the film at once; one always may."""
 
 CROWD_ROOM = 64
 """Further room for the E near an E of a foam: they crowd for a while where films meet."""
@@ -44,7 +44,7 @@ def check_room(wanted: wp.array, stride: int, name: str) -> None:
     """Raise if a row of list `name` ever wanted more entries than there is room for (reads back)."""
     most = int(wanted.numpy().max(initial=0))
     if most > stride:
-        raise SimulationError(
+        raise CrowdedError(
             f"stage neighbors: a row of list {name} has {most} entries, room for {stride}: particles clump"
         )
 
@@ -68,6 +68,7 @@ class NeighborList:
         pick: int,
         regions: tuple[wp.array, wp.array] | None = None,
         room: int = 8,
+        times: float = 1.4,
     ):
         self.n, self.device, self.radius, self.pick = n, x.device, radius, pick
         self.regions = (None, None) if regions is None else regions
@@ -75,18 +76,14 @@ class NeighborList:
         self.stride = 0
         self.rows = _rows(n, 0, self.device)
         self.build(grid, x, source)
-        self.stride = int(ROOM * self.wanted.numpy().max(initial=0)) + room
+        self.stride = int(times * self.wanted.numpy().max(initial=0)) + room
         self.rows = fixed_rows(n, self.stride, self.device)
         self.build(grid, x, source)
 
     def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
         of_x, of_source = self.regions
-        if self.pick == kn.ALL:
-            spread, source, of_source = launch_rows, Shared(source), Shared(of_source)
-        else:
-            spread = launch
-        spread(
+        launch(
             kn.fill_neighbors,
             self.n,
             [grid.id, x, source, self.radius, of_x, of_source, self.pick, self.stride],
@@ -146,22 +143,26 @@ class NeighborLists:
         of_e = state.e.region
         several = film.features.foam
         of_both, room = ((of_e, of_e), CROWD_ROOM) if several else (None, 8)
-        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, kn.SAME, of_both, room)
+        times = film.room
+        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, kn.SAME, of_both, room, times)
         self.le = self.el = self.be = self.eo = None
         if several:
             reach = film.contact_reach + self.skin
-            self.eo = NeighborList(self._grid, x, film.n_e, x, reach, kn.OTHER, of_both, FACING_ROOM)
+            self.eo = NeighborList(self._grid, x, film.n_e, x, reach, kn.OTHER, of_both, FACING_ROOM, times)
         if state.l is not None:
             regions = (state.l.region, of_e) if several else None
-            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, kn.ALL, regions)
+            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, kn.ALL, regions, times=times)
+            self._return_strays()
             self.el = TransposedList(film.n_e, self.le)
         if film.features.rim:
-            self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, self.mirror_reach + self.skin, kn.ALL)
+            reach = self.mirror_reach + self.skin
+            self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, reach, kn.ALL, times=times)
         self.travel = film.zeros(4)
         self._part = film.parts()
         self.builds = [1, 1]
 
-    def _build_e(self) -> None:
+    def rebuild_e(self) -> None:
+        """Fill the lists of E for the present positions; to be followed by `Geometry.update`."""
         x = self.state.e.x
         self._grid.build(x, self.reach)
         self.ee.build(self._grid, x, x)
@@ -177,20 +178,38 @@ class NeighborLists:
         x = self.state.e.x
         self._grid.build(x, self.reach)
         self.le.build(self._grid, self.state.l.x, x)
+        self._return_strays()
         self.el.build()
         self.film.launch_one(kn.reset_travel, [1], [self.travel])
         self.builds[1] += 1
 
+    def _return_strays(self) -> None:
+        """Put L that have lost the film back onto it, with the neighbours of the E where they land."""
+        e, lag, film = self.state.e, self.state.l, self.film
+        film.launch_l(
+            kn.return_strays_l,
+            [
+                *(e.x, e.region, self.ee.rows),
+                *(lag.region, film.n_e, film.r, self.le.stride),
+            ],
+            [lag.x, self.le.rows, self.le.wanted],
+        )
+
+    @property
+    def strays(self) -> np.ndarray:
+        """Indices of the L that had lost the film when the lists were last built (reads back)."""
+        return np.flatnonzero(self.le.wanted.numpy() < 0) if self.le is not None else np.zeros(0, dtype=int)
+
     def rebuild(self) -> None:
         """Fill all lists for the present positions; whatever is aligned with them must be made anew."""
-        self._build_e()
+        self.rebuild_e()
         if self.le is not None:
             self.rebuild_l()
 
     def update_e(self) -> None:
         """Rebuild the E:E list if pairs could be missing; to be followed by `Geometry.update`."""
         if 2.0 * self._read_travel()[0] > self.skin:
-            self._build_e()
+            self.rebuild_e()
 
     def update_l(self) -> None:
         """Rebuild the lists between E and L if pairs could be missing before the coming step ends."""
@@ -217,8 +236,19 @@ class NeighborLists:
         film.launch_one(kn.add_travel, [self._part, 3], [self.travel])
 
     def check(self) -> None:
-        """Raise if any list overflowed (reads back: between frames)."""
+        """Raise if any list overflowed or many L have lost the film (reads back: between frames).
+
+        Raises:
+            CrowdedError: a list overflowed.
+            LeapError: more L than `STRAYS` had no E within the support.
+        """
         for name in ("ee", "eo", "le", "be"):
             one = getattr(self, name)
             if one is not None:
                 one.check(name.upper())
+        strays = self.strays
+        if len(strays) > max(1.0, STRAYS * self.film.n_l):
+            raise LeapError(
+                f"stage neighbors: {len(strays)} of {self.film.n_l} L have no E within {self.film.r:.3g} m,"
+                f" particle {strays[0]} first: they leave the film"
+            )

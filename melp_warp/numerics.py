@@ -28,6 +28,10 @@ class Numerics:
         max_iterations: iterations or sweeps at which a solve stops.
         cfl: largest displacement of a particle in a step, in E spacings, where the scene sets no dt.
         l_order: order in time of the L advance, 1 or 2.
+        affinity: share of the affine part in the transfer from L to E (7): 1 for APIC (Jiang et al. 2015), 0 for PIC.
+        flip: share that L keep of their own velocity's departure from that of the E around them: with it u_L becomes
+            sum W^ u_E' + flip (u_L - sum W^ u_E), u_E before and u_E' after the step's forces. 0 for (16), 1 for FLIP,
+            with affinity 0 that of Brackbill and Ruppel 1986.
         skin: neighbour-list skin in E spacings: lists live until particles have moved half of it.
         redistribution: strength of the E redistribution (20), 0 for none.
         spread: (delta_max - delta_min)/delta_mean below which E are left alone.
@@ -45,6 +49,8 @@ class Numerics:
     max_iterations: int = 100
     cfl: float = 0.99
     l_order: int = 1
+    affinity: float = 1.0
+    flip: float = 0.0
     skin: float = 0.5
     redistribution: float = 1.0
     spread: float = 0.02
@@ -72,6 +78,8 @@ class Numerics:
         )
         number("cfl", 0.01, 10.0)
         require(self.l_order in (1, 2), "l_order", self.l_order, "1 or 2")
+        number("affinity", 0.0, 1.0)
+        number("flip", 0.0, 1.0)
         number("skin", 0.05, 4.0)
         number("redistribution", 0.0, 1.0)
         number("spread", 0.0, 10.0)

@@ -158,7 +158,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "exchange": _at_least_zero("1/s", "rate at which liquid crosses between films that touch", 1e5),
         "lift": Key("-", "share of the film's weight that a lighter gas inside carries (1 hovers)", -10.0, 10.0),
         # particles
-        "e_count": _count("Eulerian particles", 1, 10_000_000),
+        "e_count": _count("Eulerian particles", 12, 10_000_000),  # three supports' worth of the smallest support
         "l_per_e": _count("Lagrangian particles per Eulerian particle (0: none)", 0, 1000),
         "seed": _count("seed of everything random", 0, 2**31 - 1),
         # time
@@ -174,6 +174,8 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "max_iterations": _count("iterations at which a solve stops", 1, 10000),
         "cfl": Key("spacings", "largest motion in a step where dt is auto, in E spacings", 0.01, 10.0),
         "l_order": _count("order in time of the Lagrangian motion", 1, 2),
+        "affinity": Key("-", "share of the affine part in transfers (1: APIC, 0: PIC)", 0.0, 1.0),
+        "flip": Key("-", "share that L keep of their own velocity's departure from the E (0: none, 1: FLIP)", 0.0, 1.0),
         "skin": Key("spacings", "skin of the neighbour lists, in E spacings", 0.05, 4.0),
         "redistribution": Key("-", "strength of the E redistribution (0: none)", 0.0, 1.0),
         "spread": Key("-", "relative spread of E density that is left alone", 0.0, 10.0),
@@ -186,6 +188,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
 
 _MATERIAL = tuple(f.name for f in fields(Material))
 _FOAM_NUMERICS = ("border", "exchange")
+_SINGLE_FILM_NUMERICS = ("scheme", "curvature")
 _NUMERICS = tuple(f.name for f in fields(Numerics) if f.name not in _FOAM_NUMERICS)
 _SURROUNDINGS = ("pressure", "air", "air_density", "drag")
 _RUN = ("e_count", "l_per_e", "seed", "frames", "fps", "dt")
@@ -204,15 +207,16 @@ FOAM: Mapping[str, Value] = MappingProxyType(
 """Values with which foams run well: what `declare` is given in every scene of several bubbles."""
 
 
-def _common_defaults() -> dict[str, Value]:
+def _common_defaults(foam: bool) -> dict[str, Value]:
     """The keys that every scene has, with the values they take where a scene does not say otherwise."""
     material, surroundings, numerics = Material(), Surroundings(), Numerics()
+    of_numerics = (name for name in _NUMERICS if not (foam and name in _SINGLE_FILM_NUMERICS))
     return {
         **{name: getattr(material, name) for name in _MATERIAL},
         "gravity": 0.0,
         **{name: getattr(surroundings, name) for name in _SURROUNDINGS},
         **{"e_count": 2000, "l_per_e": 16, "seed": 0, "frames": 100, "fps": 60.0, "dt": None},
-        **{name: getattr(numerics, name) for name in _NUMERICS},
+        **{name: getattr(numerics, name) for name in of_numerics},
     }
 
 
@@ -328,7 +332,8 @@ def declare(**given: Value | tuple[Value, Key]) -> Parameters:
         **given: `key=value` for a key of `KEYS`; `key=(value, Key(unit, meaning, ...))` for one of the scene's own.
 
     Returns:
-        The given parameters, and those that every scene has with their usual values.
+        The given parameters, and those that every scene has with their usual values; those of a foam, which has
+        `border`, are without what only single films use.
 
     Raises:
         InputError: for an unknown key or a value that it does not take.
@@ -337,7 +342,7 @@ def declare(**given: Value | tuple[Value, Key]) -> Parameters:
     taken = sorted(set(own) & set(KEYS))
     require(not taken, "a scene's own key", ", ".join(taken), "none of the common keys")
     known = {**KEYS, **{name: key for name, (_, key) in own.items()}}
-    wanted = {**_common_defaults(), **{name: v[0] if name in own else v for name, v in given.items()}}
+    wanted = {**_common_defaults("border" in given), **{name: v[0] if name in own else v for name, v in given.items()}}
     listed = Parameters({}, known)
     defaults = {name: listed._key(name).check(name, value) for name, value in wanted.items()}
     order = [*(name for name in known if name in defaults)]

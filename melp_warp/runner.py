@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import logging
 import math
@@ -21,7 +22,9 @@ from melp_warp.parameters import Value
 from melp_warp.scene import Scene
 
 if TYPE_CHECKING:
+    from melp_warp.estimate import Estimate
     from melp_warp.frame import ParticleFrame
+    from melp_warp.registry import SceneScript
     from melp_warp.simulation import Simulation
 
 LOG = "run.jsonl"
@@ -85,6 +88,55 @@ def run(plan: Plan) -> int:
     if not plan.quiet:
         _say_finished(plan.out, images)
     return 0
+
+
+def estimate(plan: Plan) -> Estimate:
+    """What a run would cost, from a few of its steps; nothing is written.
+
+    Raises:
+        InputError: the solver refuses the scene or the device.
+        SimulationError: one of the steps failed.
+    """
+    _start_warp(plan.device)
+    from melp_warp.estimate import measure_cost
+
+    with_l = plan.scene.l_per_e > 0 and plan.export != "e"
+    e_sets = int(not with_l) + int(plan.export in ("e", "both"))
+    return measure_cost(plan.scene, plan.device, e_sets, int(with_l))
+
+
+def trade(script: SceneScript, overrides: Mapping[str, Value], e_count: int, frames: int, out: Path | None) -> str:
+    """Measure speed against accuracy for a scene; see `melp_warp.tradeoff.scene_study`.
+
+    Args:
+        script: the scene.
+        overrides: values that replace its own.
+        e_count: E of the standard run.
+        frames: frames of each run.
+        out: folder for tradeoff.csv, tradeoff.json and, with matplotlib, tradeoff.png; None to write nothing.
+
+    Returns:
+        The table to print.
+
+    Raises:
+        InputError: the folder is taken, or the solver refuses the scene.
+        SimulationError: the run that the others are compared with stopped.
+    """
+    if out is not None:
+        _check_folder(out)
+    _start_warp("cpu")
+    from melp_warp import tradeoff
+
+    records, began = [], time.perf_counter()
+    for record in tradeoff.scene_study(script, overrides, e_count, frames):
+        records.append(record)
+        print(f"{len(records)} {record.knob or '-'} {record.setting}", file=sys.stderr)
+    if out is not None:
+        tradeoff.save(records, out, "tradeoff", time.perf_counter() - began)
+        if importlib.util.find_spec("matplotlib"):
+            measure = "thickness and surface against the reference run"
+            tradeoff.plot(records, out / "tradeoff.png", script.name, measure)
+    return tradeoff.table(records)
 
 
 def _simulation(plan: Plan) -> Simulation:
@@ -173,8 +225,9 @@ class _Output:
             "device": plan.device,
             "parameters": {key: "auto" if value is None else value for key, value in plan.parameters.items()},
         }
+        frame = simulation.particles(shown)
         with _finish_first():
-            self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets))
+            self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets), origin=frame.origin)
 
     def write(self, simulation: Simulation) -> dict:
         """Write the present frame and return its diagnostics."""

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
-from melp_warp.cluster import Cluster
+from melp_warp.cluster import Cluster, Wall
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
 from melp_warp.film import Film, RimArrays
 from melp_warp.kernels import transfer as kt
+from melp_warp.launch import compile_kernels
 from melp_warp.scene import Scene
 from melp_warp.shapes import Samples
-from melp_warp.state import GAS_SLOTS, EulerianState, LagrangianState, State, allocate
+from melp_warp.state import GAS_SLOTS, EulerianState, LagrangianState, State, allocate, state_origin
 from melp_warp.stepper import Stepper
 
 RELAXATION_STEPS = 30
+MOST_RELAXATION_STEPS = 300
+EVEN_ENOUGH = 0.5
+"""(delta_max - delta_min)/delta_mean of E at which a start that takes more steps to even out is good enough."""
+
 AREA_STEPS = 4
+
+FAR = 4.0
+"""Distance of a film from the origin, in its own sizes, from which on positions are measured from the film."""
 
 
 def _field(function, points: np.ndarray, default: float, name: str, width: int = 1) -> np.ndarray:
@@ -61,34 +70,41 @@ def _check_resolution(scene: Scene, spacing: float) -> None:
 
 def _check_smallest(cluster: Cluster, e_count: int, support: float) -> None:
     """Whether the smallest bubble, also one to be born, is at least two kernel supports across."""
-    k = int(np.argmin([b.radius for b in cluster.bubbles]))
+    need, k = cluster.fewest_e(support), cluster.smallest
     radius = cluster.bubbles[k].radius
-    need = math.ceil(cluster.area * (support / radius) ** 2)
     later = "" if len(cluster.initial) == len(cluster.bubbles) else f" for the {len(cluster.initial)} at the start"
     allowed = f"at least {need}{later}: bubble {k}, of radius {radius:.3g} m, must be {2.0 * support:g} spacings across"
     require(e_count >= need, "e_count", e_count, allowed)
 
 
-def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int, float]:
+def _origin(points: np.ndarray) -> np.ndarray:
+    """Where to measure positions from: the world's origin, or the middle of a film that is far from it. [3], m."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = 0.5 * (low + high)
+    return middle if np.abs(middle).max() > FAR * (high - low).max() else np.zeros(3)
+
+
+def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int, float, np.ndarray]:
     samples = scene.shape.sample(scene.e_count)
     n_e = len(samples.points)
     spacing = float(np.sqrt(samples.area.sum() / n_e))
     _check_resolution(scene, spacing)
     rim = scene.shape.rim(spacing, (scene.numerics.support + scene.numerics.skin) * spacing)
-    points, normals = samples.points, samples.normals
+    origin = _origin(samples.points)
+    points, normals = samples.points - origin, samples.normals
     arrays, n_b = None, 0
     if rim is not None:
         n_b = len(rim.points)
-        points = np.concatenate([points, rim.points])
+        points = np.concatenate([points, rim.points - origin])
         normals = np.concatenate([normals, rim.normals])
-        fields = (rim.anchors, rim.outward, rim.mirror, rim.curvature)
+        fields = (rim.anchors - origin, rim.outward, rim.mirror - origin, rim.curvature)
         arrays = RimArrays(*(wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in fields))
     short = dict.fromkeys(("drift", "mass", "surfactant"), n_e)
     state = allocate(EulerianState, short, n_e + n_b, device, count=n_e)
     state.x.assign(points.astype(np.float32))
     state.normal.assign(normals.astype(np.float32))
     state.region.assign(_regions(samples, len(points)))
-    return state, arrays, n_b, spacing
+    return state, arrays, n_b, spacing, origin
 
 
 def _regions(samples: Samples, count: int) -> np.ndarray:
@@ -109,14 +125,14 @@ def spatial_order(points: np.ndarray, cell: float) -> np.ndarray:
     return np.argsort(code, kind="stable")
 
 
-def _l_state(scene: Scene, n_e: int, spacing: float, device) -> LagrangianState | None:
+def _l_state(scene: Scene, n_e: int, spacing: float, origin: np.ndarray, device) -> LagrangianState | None:
     if scene.l_per_e == 0:
         return None
     samples = scene.shape.sample(n_e * scene.l_per_e, offset=0.5)
     order = spatial_order(samples.points, spacing)
     count = len(order)
     state = allocate(LagrangianState, {}, count, device, count=count)
-    state.x.assign(samples.points[order].astype(np.float32))
+    state.x.assign((samples.points[order] - origin).astype(np.float32))
     state.normal.assign(samples.normals[order].astype(np.float32))
     state.region.assign(_regions(samples, count)[order])
     # While areas are found, eta holds 1/area and mass holds rho: an L then claims rho/(rho eta), its area.
@@ -132,16 +148,17 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
         InputError: the scene cannot be sampled as asked.
     """
     features = Features.of(scene)
+    compile_kernels(features.kernels(), device)
     require(
         features.moving or features.lagrangian,
         "l_per_e",
         scene.l_per_e,
         "at least 1 for a flat film, which has no normal motion",
     )
-    e, rim, n_b, spacing = _e_state(scene, device)
-    lagrangian = _l_state(scene, e.count, spacing, device)
+    e, rim, n_b, spacing, origin = _e_state(scene, device)
+    lagrangian = _l_state(scene, e.count, spacing, origin, device)
     labels = scene.shape.initial if features.foam else (0,)
-    film, state = _film(scene, features, e, lagrangian, labels, spacing, rim, n_b, device)
+    film, state = _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, device)
     if features.closed:
         film.radius = float(np.sqrt(scene.shape.area / (4.0 * np.pi)))
     stepper = Stepper(film, state)
@@ -157,11 +174,11 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     return film, stepper
 
 
-def _film(scene, features, e, lagrangian, labels, spacing, rim, n_b, device) -> tuple[Film, State]:
+def _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, device) -> tuple[Film, State]:
     """Film and state around particles; `labels` are the scene's numbers of the regions."""
     regions = len(labels)
     gas = wp.zeros((regions, len(GAS_SLOTS)), dtype=wp.float64, device=device)
-    state = State(e, lagrangian, gas, wp.zeros(regions, dtype=wp.vec3, device=device))
+    state = State(e, lagrangian, gas, wp.zeros(regions, dtype=wp.vec3, device=device), origin)
     counts = np.bincount(e.region.numpy()[: e.count], minlength=regions)
     factor = [scene.shape.bubbles[k].tension for k in labels] if features.foam else [1.0]
     tension = scene.material.tension * np.array(factor, dtype=np.float32)
@@ -179,13 +196,18 @@ def _film(scene, features, e, lagrangian, labels, spacing, rim, n_b, device) -> 
         tension=wp.array(tension, dtype=wp.float32, device=device),
         labels=tuple(labels),
         seed=scene.seed,
-        walls=scene.shape.walls if features.foam else (),
+        walls=_walls_from(origin, scene.shape.walls) if features.foam else (),
         rim=rim,
     )
     return film, state
 
 
-def resume(scene: Scene, stored: dict[str, np.ndarray], labels: tuple[int, ...], spacing: float, device):
+def _walls_from(origin: np.ndarray, walls: tuple[Wall, ...]) -> tuple[Wall, ...]:
+    """The walls as seen from the origin of a state."""
+    return tuple(replace(wall, point=tuple(wall.point - origin)) for wall in walls)
+
+
+def resume(scene: Scene, stored: dict[str, np.ndarray], labels: tuple[int, ...], spacing: float, device, room=1.4):
     """Film and stepper of a foam from arrays as `State.numpy` gives them, whatever their lengths.
 
     Args:
@@ -194,12 +216,16 @@ def resume(scene: Scene, stored: dict[str, np.ndarray], labels: tuple[int, ...],
         labels: the scene's numbers of the regions, one each.
         spacing: E spacing of the run, m.
         device: where to run.
+        room: room of its neighbour lists, see `Film`.
     """
     counts = {kind: len(stored[f"{kind}.x"]) if f"{kind}.x" in stored else 0 for kind in "el"}
     e = allocate(EulerianState, {}, counts["e"], device, count=counts["e"])
     lagrangian = allocate(LagrangianState, {}, counts["l"], device, count=counts["l"]) if scene.l_per_e else None
     e.region.assign(stored["e.region"])
-    film, state = _film(scene, Features.of(scene), e, lagrangian, labels, spacing, None, 0, device)
+    film, state = _film(
+        scene, Features.of(scene), e, lagrangian, labels, spacing, state_origin(stored), None, 0, device
+    )
+    film.room = room
     state.load(stored)
     stepper = Stepper(film, state)
     stepper.fields.update()
@@ -220,22 +246,26 @@ def _relax(scene: Scene, stepper: Stepper) -> None:
     """Even out the E on a curved shape, keeping them on it."""
     if stepper.redistribution is None or scene.shape.even:
         return
-    e = stepper.state.e
-    for _ in range(RELAXATION_STEPS):
+    e, origin = stepper.state.e, stepper.state.origin
+    for done in range(MOST_RELAXATION_STEPS):
+        if done >= RELAXATION_STEPS and stepper.redistribution.spread.numpy()[0, 0] < EVEN_ENOUGH:
+            break
         stepper.redistribution.apply(1.0)
         points = e.x.numpy()
-        points[: e.count] = scene.shape.project(points[: e.count].astype(np.float64))
+        points[: e.count] = scene.shape.project(points[: e.count] + origin) - origin
         e.x.assign(points)
         e.drift.zero_()
-        stepper.lists.rebuild()
+        stepper.lists.rebuild_e()
         stepper.geometry.update()
+    if stepper.state.l is not None:
+        stepper.lists.rebuild_l()
 
 
 def _set_masses(scene: Scene, stepper: Stepper) -> None:
     """Give every particle its area's share of liquid and surfactant."""
     film, state = stepper.film, stepper.state
     if state.l is None:
-        points = state.e.x.numpy()[: film.n_e].astype(np.float64)
+        points = state.e.x.numpy()[: film.n_e] + state.origin
         own = _own_thickness(scene, state.e.region.numpy()[: film.n_e])
         _, mass, amount = liquid(scene, points, stepper.geometry.area.numpy(), own)
         state.e.mass.assign(mass.astype(np.float32))
@@ -243,7 +273,7 @@ def _set_masses(scene: Scene, stepper: Stepper) -> None:
         return
     _share_area(stepper)
     lag = state.l
-    points, area = lag.x.numpy().astype(np.float64), 1.0 / lag.eta.numpy().astype(np.float64)
+    points, area = lag.x.numpy() + state.origin, 1.0 / lag.eta.numpy().astype(np.float64)
     eta, mass, amount = liquid(scene, points, area, _own_thickness(scene, lag.region.numpy()))
     lag.eta.assign(eta.astype(np.float32))
     lag.mass.assign(mass.astype(np.float32))
@@ -302,7 +332,8 @@ def _share_area(stepper: Stepper) -> None:
     none = film.zeros(film.n_e)
     for _ in range(AREA_STEPS):
         transfer.gather()
-        film.launch_e(kt.thickness_growth_e, [none, transfer.claim, geometry.area, 0.0, 1.0, 0.0], [transfer.growth])
+        settings = [none, transfer.claim, geometry.area, 0.0, 1.0, 0.0, math.inf]
+        film.launch_e(kt.thickness_growth_e, settings, [transfer.growth])
         transfer.gather_to_l()
 
 
@@ -310,7 +341,7 @@ def _set_velocity(scene: Scene, stepper: Stepper) -> None:
     film, state = stepper.film, stepper.state
     u = np.zeros((film.total, 3), dtype=np.float32)
     if scene.velocity is not None:
-        points = state.e.x.numpy()[: film.n_e].astype(np.float64)
+        points = state.e.x.numpy()[: film.n_e] + state.origin
         u[: film.n_e] = _field(scene.velocity, points, 0.0, "velocity", 3)
     for k, bubble in _bubbles(scene):
         u[state.e.region.numpy() == k] += np.array(bubble.velocity, dtype=np.float32)

@@ -7,10 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from melp_warp.cluster import Cluster
 from melp_warp.errors import require
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.shapes import Shape
+
+MOST_STEPS = 100_000
+"""Steps that a frame may take."""
 
 PointField = Callable[[np.ndarray], np.ndarray]
 """A field given by a function of points: [n, 3] (m) -> [n] or [n, 3], SI."""
@@ -58,6 +62,21 @@ class Scene:
         require(isinstance(self.frames, int) and self.frames >= 0, "frames", self.frames, "a whole number >= 0")
         require(np.isfinite(self.fps) and self.fps > 0, "fps", self.fps, "a number above 0")
         require(self.dt is None or (np.isfinite(self.dt) and self.dt > 0), "dt", self.dt, "a number of seconds above 0")
+        least = 1.0 / (self.fps * MOST_STEPS)
+        allowed = f"at least {least:.3g} s, {MOST_STEPS:,} steps a frame"
+        require(self.dt is None or self.dt >= least, "dt", self.dt, allowed)
         require(isinstance(self.seed, int) and self.seed >= 0, "seed", self.seed, "a whole number >= 0")
         closed = self.shape.closed
         require(closed or self.surroundings.lift == 0.0, "lift", self.surroundings.lift, "0 for an open film")
+        if isinstance(self.shape, Cluster):
+            self._check_foam()
+        else:
+            damping = self.surroundings.damping
+            require(damping == 0.0, "damping", damping, "0 for a single film: it is of foams")
+
+    def _check_foam(self) -> None:
+        """Refuse what a foam has no use for, rather than leave it out in silence."""
+        numerics, lift = self.numerics, self.surroundings.lift
+        require(numerics.scheme == "backward_euler", "scheme", numerics.scheme, "backward_euler for a foam")
+        require(numerics.curvature == "mls", "curvature", numerics.curvature, "left at mls for a foam, which uses none")
+        require(lift == 0.0, "lift", lift, "0 for a foam")

@@ -4,21 +4,47 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from pathlib import Path
 
 import numpy as np
 import warp as wp
 
-from melp_warp.errors import InputError, SimulationError
+from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
 from melp_warp.events import Events
 from melp_warp.film import Film
 from melp_warp.frame import ParticleFrame
+from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
-from melp_warp.sampling import make_film, resume
-from melp_warp.scene import Scene
-from melp_warp.state import Snapshot
+from melp_warp.launch import launch
+from melp_warp.sampling import FAR, make_film, resume
+from melp_warp.scene import MOST_STEPS, Scene
+from melp_warp.state import GAS_SLOTS, Snapshot
 from melp_warp.stepper import STAGES, Stepper
 from melp_warp.surgery import Stored
+
+LEAP = 0.3
+"""Longest way of a particle in one step, relative to the film as a whole and in radii of the film.
+
+Beyond it the change of curvature is no longer nearly linear in the motion, which the implicit step rests on.
+"""
+
+LEAST_CUT = 1.0 / 16.0
+"""Least part of a step in which a leap is made that is tried next."""
+
+LEAST_STEP = 0.3
+"""Step at which a leap ends the run, in times in which the fastest wave crosses a spacing: the step is not to blame."""
+
+MOST_STEPS_AGAIN = 2000
+"""Steps to which a frame that leaps is cut: one that wants more wants a smaller dt, or another scene."""
+
+FASTEST = 100.0
+"""Speed of the liquid in a flat film that runs are made for, m/s: its waves may be slow."""
+
+MOST_ROOM = 12.0
+"""Room of neighbour lists, over what they need when they are made, at which particles are taken to have clumped."""
+
+AREA = GAS_SLOTS.index("area")
 
 
 def find_device(name: str) -> wp.Device:
@@ -47,11 +73,15 @@ class Simulation:
     Attributes:
         has_l: whether there are Lagrangian particles.
         spilled: liquid that left with films that popped, kg.
+        origin: [3] float64, m: where `particles` measures from, the same for the whole run.
+        step_seconds: wall time of each step, s; the first ones load and record kernels, and on a GPU this is the time
+            of launching alone.
     """
 
     def __init__(self, scene: Scene, device: str = "cpu"):
         self.scene = scene
         self.spilled = 0.0
+        self.step_seconds: list[float] = []
         self.device = find_device(device)
         try:
             self.film, self.stepper = make_film(scene, self.device)
@@ -64,8 +94,11 @@ class Simulation:
             ) from None
         self.has_l = self.stepper.state.l is not None
         self._last_dt, self._step_limit, self._substeps = 0.0, 0.0, 0
+        self._cap = math.inf
+        self.origin = self.stepper.state.origin
         self._ids = {"e": np.arange(self.film.n_e), "l": np.arange(self.film.n_l)}
         self._adopt(self.film, self.stepper)
+        self._wave_speed = self._fastest_wave()
         self.events = Events(scene.shape) if self.film.features.foam else None
 
     def _adopt(self, film: Film, stepper: Stepper) -> None:
@@ -74,6 +107,8 @@ class Simulation:
         self._snapshot = Snapshot(self.state)
         self._summary = film.parts(kd.vec12d)
         self._energy = film.parts(wp.float64)
+        size = float(np.sqrt(self.state.gas.numpy()[:, AREA].min() / np.pi))
+        self._reach = LEAP * (0.5 * size if film.features.closed else size)
 
     @property
     def time(self) -> float:
@@ -87,39 +122,124 @@ class Simulation:
 
     def step(self, dt: float) -> None:
         """One step of dt seconds."""
+        began = time.perf_counter()
         self.stepper.step(dt)
+        self.step_seconds.append(time.perf_counter() - began)
         self._last_dt = dt
 
     def advance_frame(self) -> None:
         """Advance by 1/fps.
 
+        A frame in which a particle leaps or a neighbour list overflows is done again, in smaller steps or with more
+        room.
+
         Raises:
             SimulationError: names the stage and the particle; the state is then that of the last good frame.
         """
         end = (self.state.frame + 1) / self.scene.fps
+        good = self._mark()
+        while True:
+            try:
+                self._advance_to(end)
+                break
+            except SimulationError as error:
+                again = self._give_way(error)
+                self._go_back(good)
+                if not again:
+                    raise SimulationError(f"{error}, at {end:.4g} s in frame {self.state.frame + 1}") from None
+        self.state.frame += 1
+        self.state.time = end
+        self._cap *= 2.0
+        self._recentre()
+        self._snapshot.save(self.state)
+
+    def _advance_to(self, end: float) -> None:
+        """Take steps until `end` (s)."""
         self._change_regions()
         self._substeps = 0
         for stage in STAGES:
             self.stepper.wall[stage] = 0.0
-        try:
-            while end - self.time > 1e-9 / self.scene.fps:
-                left = self._until(end) - self.time
-                self._step_limit = self.largest_step()
-                self.step(left / math.ceil(left / self._step_limit - 1e-6))
-                self._substeps += 1
-                if not self.device.is_cuda:
-                    self.stepper.check()
-                self._change_regions()
-            self.stepper.check()
-        except SimulationError as error:
-            self._snapshot.restore(self.state)
-            # what the stages keep between steps has seen the failure: fits, lists, first guesses
-            self.stepper = Stepper(self.film, self.state)
-            self._snapshot.restore(self.state)
-            raise SimulationError(f"{error}, at {end:.4g} s in frame {self.state.frame + 1}") from None
-        self.state.frame += 1
-        self.state.time = end
-        self._snapshot.save(self.state)
+        while end - self.time > 1e-9 / self.scene.fps:
+            self.step_towards(end)
+            self._check_way()
+            if not self.device.is_cuda:
+                self.stepper.check()
+            self._change_regions()
+        self.stepper.check()
+
+    def _check_way(self) -> None:
+        """Raise if a particle moved too far in the last step; the explicit scheme is left to its user."""
+        travel = self.stepper.lists.travel.numpy()[2:]
+        if travel.max() > self._reach and self.scene.numerics.scheme != "explicit":
+            which = "E" if travel[0] >= travel[1] else "L"
+            raise LeapError(
+                f"stage advance_{which.lower()}: {which} move {travel.max():.3g} m in a step of {self._last_dt:.3g} s,"
+                f" more than {LEAP:g} of the film's radius"
+            )
+
+    def _give_way(self, error: SimulationError) -> bool:
+        """Ask for what an error calls for, smaller steps or more room; whether there is any left to give."""
+        if isinstance(error, LeapError):
+            travel = float(self.stepper.lists.travel.numpy()[2:].max())
+            self._cap = 0.5 * self._last_dt * max(self._reach / max(self._reach, travel), LEAST_CUT)
+            fastest = self._wave_speed if self.film.features.moving else max(self._wave_speed, FASTEST)
+            least = LEAST_STEP * self.film.spacing / fastest
+            return self._cap > max(least, 1.0 / (self.scene.fps * MOST_STEPS_AGAIN))
+        if isinstance(error, CrowdedError):
+            self.film.room *= 2.0
+            return self.film.room < MOST_ROOM
+        return False
+
+    def _mark(self) -> tuple:
+        """What to go back to if the coming frame fails, besides the arrays, which the snapshot holds."""
+        events = self.events.mark() if self.events else None
+        return self.film, self.stepper, self._snapshot, dict(self._ids), self.spilled, events
+
+    def _go_back(self, good: tuple) -> None:
+        """Return to the last good frame, regions that changed since included."""
+        room = self.film.room
+        film, stepper, snapshot, ids, self.spilled, events = good
+        film.room = room
+        self._ids = dict(ids)
+        self._adopt(film, stepper)
+        self._snapshot = snapshot
+        self._snapshot.restore(self.state)
+        if self.events:
+            self.events.back(events)
+        self._renew()
+
+    def _renew(self) -> None:
+        """Make anew what the stages keep between steps (lists, fits, first guesses) from the state, which stays."""
+        film, kept, area = self.film, Snapshot(self.state), self.stepper.geometry.area
+        self.stepper = Stepper(film, self.state)
+        if film.features.foam:
+            self.stepper.fields.update()
+            self.stepper.membrane.start_motion()
+        if not film.features.moving:  # areas were found from the L at the start
+            self.stepper.geometry.set_area(area)
+        kept.restore(self.state)
+        if self.has_l:
+            self.stepper.lists.rebuild_l()
+        self._last_dt, self._step_limit = 0.0, 0.0
+
+    def _recentre(self) -> None:
+        """Measure positions from a closed film itself once it has flown far."""
+        film, state = self.film, self.state
+        if not film.features.closed or film.features.foam:
+            return
+        away = state.e.x[:1].numpy()[0].astype(np.float64)
+        if np.abs(away).max() > 2.0 * FAR * film.radius:
+            for x in (state.e.x, *([state.l.x] if state.l else [])):
+                launch(ka.shift_origin_e, x.shape[0], [wp.vec3(*away)], [x], self.device)
+            state.origin = state.origin + away
+
+    def step_towards(self, end: float) -> float:
+        """Take one step of those in which a frame that ends at `end` (s) is done; its size, s."""
+        left = self._until(end) - self.time
+        self._step_limit = self.largest_step()
+        self.step(left / math.ceil(left / self._step_limit - 1e-6))
+        self._substeps += 1
+        return self._last_dt
 
     def _until(self, end: float) -> float:
         """End of the frame, or the time of an event before it, s."""
@@ -132,8 +252,11 @@ class Simulation:
             stored = Stored(self.state.numpy(), dict(self._ids), list(self.film.labels), self.spilled)
             change(stored)
             self._ids, self.spilled = stored.ids, stored.spilled
-            film, stepper = resume(self.scene, stored.arrays, tuple(stored.labels), self.film.spacing, self.device)
-            self._adopt(film, stepper)
+            self._adopt(*self._resumed(stored.arrays, tuple(stored.labels)))
+
+    def _resumed(self, stored: dict[str, np.ndarray], labels: tuple[int, ...]) -> tuple[Film, Stepper]:
+        """Film and stepper of this foam with other regions."""
+        return resume(self.scene, stored, labels, self.film.spacing, self.device, self.film.room)
 
     def largest_step(self) -> float:
         """The scene's dt, or the step in which the fastest particle of the last one moves `cfl` spacings, s.
@@ -141,18 +264,24 @@ class Simulation:
         Where the scene sets no dt, the first step is that of the fastest wave on the film and a step is at most twice
         the one before: at the start nothing has moved yet.
         """
-        limit = 1.0 / self.scene.fps
+        limit = min(1.0 / self.scene.fps, self._cap)
         if self.scene.dt is not None:
             return min(limit, self.scene.dt)
         if self.film.features.foam:
             limit = min(limit, self.stepper.membrane.longest_step)
         reach = self.scene.numerics.cfl * self.film.spacing
         if self._step_limit == 0.0:
-            return min(limit, reach / self._wave_speed())
+            return min(limit, reach / self._wave_speed)
         speed = float(self.stepper.lists.travel.numpy()[2:].max()) / self._last_dt
-        return min(limit, 2.0 * self._step_limit, reach / speed if speed > 0.0 else limit)
+        wanted = min(2.0 * self._step_limit, reach / speed if speed > 0.0 else limit)
+        if wanted * MOST_STEPS * self.scene.fps < 1.0:
+            raise SimulationError(
+                f"stage advance_e: cfl asks for steps of {wanted:.3g} s at a speed of {speed:.3g} m/s,"
+                f" more than {MOST_STEPS:,} a frame"
+            )
+        return min(limit, wanted)
 
-    def _wave_speed(self) -> float:
+    def _fastest_wave(self) -> float:
         """Fastest wave: sqrt(2 sigma/m) where the film can move, sqrt(2 R T Gamma/m) where it is flat, m/s."""
         m = self.scene.material
         tension = m.film_tension if self.film.features.moving else m.rt * m.surfactant
@@ -177,7 +306,7 @@ class Simulation:
         ids = self._ids[which]
         order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
         return ParticleFrame(
-            points=x.astype(np.float32)[order],
+            points=(x + (self.state.origin - self.origin)).astype(np.float32)[order],
             velocities=v.astype(np.float32)[order],
             ids=ids[order].astype(np.int64),
             widths=np.sqrt(4.0 / np.pi * area).astype(np.float32)[order],
@@ -185,6 +314,7 @@ class Simulation:
             thickness=(eta * 1e9).astype(np.float32)[order],
             region=region[order],
             black_film=np.zeros(n, dtype=np.int32),
+            origin=tuple(self.origin.tolist()),
         )
 
     def diagnostics(self) -> dict:
@@ -217,7 +347,7 @@ class Simulation:
             "thickness_max": sums[8] * 1e9,
             "thickness_std": math.sqrt(max(sums[11] / sums[10] - (sums[9] / sums[10]) ** 2, 0.0)) * 1e9,
             "e_spread": float(stepper.redistribution.spread.numpy()[:, 0].max()) if stepper.redistribution else 0.0,
-            "lost": int(stepper.transfer.lost.numpy().sum()) if self.has_l else 0,
+            "lost": len(stepper.lists.strays),
             "wall_ms": {name: 1e3 * seconds for name, seconds in stepper.wall.items() if seconds > 0.0},
         }
         return {k: float(v) if isinstance(v, np.floating) else v for k, v in result.items()}
@@ -269,7 +399,11 @@ class Simulation:
         return {name: {"iterations": i, "residual": r} for name, (i, r) in reports.items()}
 
     def save_checkpoint(self, path: str | os.PathLike) -> None:
-        """Write the state to `path` (.npz), whole or not at all."""
+        """Write the state to `path` (.npz), whole or not at all.
+
+        The run goes on from what was written, lists and first guesses made anew: a run that loads the file goes on the
+        same, bit for bit on the CPU.
+        """
         path = Path(path)
         temporary = path.with_name(path.name + ".tmp")
         with open(temporary, "wb") as file:
@@ -277,6 +411,7 @@ class Simulation:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
+        self.renew()
 
     def _foam_record(self) -> dict[str, np.ndarray]:
         """What a checkpoint of a foam holds besides the state."""
@@ -290,7 +425,7 @@ class Simulation:
         }
 
     def _load_foam(self, path: str | os.PathLike, stored: dict[str, np.ndarray]) -> None:
-        names = [*self.state.arrays(), *self._foam_record(), "time", "frame"]
+        names = [*self.state.numpy(), *self._foam_record()]
         missing = [name for name in names if name not in stored]
         if missing or max(stored["labels"]) >= len(self.scene.shape.bubbles):
             lacking = ", ".join(missing) or "region of this scene"
@@ -300,7 +435,19 @@ class Simulation:
         self.events = Events(self.scene.shape)
         self.events.skip(float(stored["time"]), stored["unborn"].tolist())
         labels = tuple(int(k) for k in stored["labels"])
-        self._adopt(*resume(self.scene, stored, labels, self.film.spacing, self.device))
+        self._adopt(*self._resumed(stored, labels))
+        self._take(stored)
+
+    def _take(self, stored: dict[str, np.ndarray]) -> None:
+        """Go on from the values of a state of these sizes."""
+        self.state.load(stored)
+        self.renew()
+
+    def renew(self) -> None:
+        """Go on from the state as it is now, particles that were moved by hand included."""
+        self._snapshot.save(self.state)
+        self._cap = math.inf
+        self._renew()
 
     def load_checkpoint(self, path: str | os.PathLike) -> None:
         """Go on from a checkpoint of the same scene.
@@ -308,14 +455,15 @@ class Simulation:
         Raises:
             InputError: the file does not fit the scene.
         """
-        with np.load(path) as stored:
-            if self.film.features.foam:
-                self._load_foam(path, dict(stored))
-                return
-            for name, array in self.state.arrays().items():
-                if name not in stored or len(stored[name]) != len(array):
-                    raise InputError(f"checkpoint {path}: {name} must have {len(array)} entries for this scene")
-            self.state.load(dict(stored))
-        self.stepper.lists.rebuild()
-        self.stepper.geometry.update()
-        self._snapshot.save(self.state)
+        try:
+            with np.load(path) as file:
+                stored = dict(file)
+        except (OSError, ValueError) as error:
+            raise InputError(f"checkpoint {path} cannot be read: {error}") from None
+        if self.film.features.foam:
+            self._load_foam(path, stored)
+            return
+        for name, array in self.state.numpy().items():
+            if name not in stored or stored[name].shape != array.shape:
+                raise InputError(f"checkpoint {path}: {name} must have shape {array.shape} for this scene")
+        self._take(stored)

@@ -92,6 +92,8 @@ class State:
         gas: [regions, 6] float64, see `GAS_SLOTS`: volume (m^3), gauge pressure (Pa), amount n0 R T (J), pressure
             increment of the last step (Pa), area (m^2), normal offset that closed the volume in the last step (m).
         motion: [regions] velocity of a closed film as a whole, m/s: it changes by outside forces alone.
+        origin: [3] float64, m: where positions are measured from. They are float32, which resolves 1e-7 of a distance:
+            of that from the film, not from the world's origin.
         time: s.
         frame: index of the last finished frame.
     """
@@ -100,6 +102,7 @@ class State:
     l: LagrangianState | None  # noqa: E741
     gas: wp.array
     motion: wp.array
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     time: float = 0.0
     frame: int = 0
 
@@ -113,14 +116,20 @@ class State:
     def numpy(self) -> dict[str, np.ndarray]:
         """All arrays and scalars as NumPy copies, as a checkpoint stores them."""
         stored = {name: a.numpy().copy() for name, a in self.arrays().items()}
-        return stored | {"time": np.array(self.time), "frame": np.array(self.frame)}
+        return stored | {"origin": self.origin.copy(), "time": np.array(self.time), "frame": np.array(self.frame)}
 
     def load(self, stored: dict[str, np.ndarray]) -> None:
         """Take the values of `numpy()` back, in place."""
         for name, array in self.arrays().items():
             array.assign(stored[name])
+        self.origin = state_origin(stored)
         self.time = float(stored["time"])
         self.frame = int(stored["frame"])
+
+
+def state_origin(stored: dict[str, np.ndarray]) -> np.ndarray:
+    """Where the positions of a stored state are measured from; the world's origin where nothing is said. [3], m."""
+    return np.array(stored.get("origin", np.zeros(3)), dtype=np.float64)
 
 
 class Snapshot:
@@ -128,16 +137,16 @@ class Snapshot:
 
     def __init__(self, state: State):
         self._copies = {name: wp.clone(a) for name, a in state.arrays().items()}
-        self._scalars = (state.time, state.frame)
+        self._scalars = (state.origin, state.time, state.frame)
 
     def save(self, state: State) -> None:
         """Copy the state here."""
         for name, array in state.arrays().items():
             wp.copy(self._copies[name], array)
-        self._scalars = (state.time, state.frame)
+        self._scalars = (state.origin, state.time, state.frame)
 
     def restore(self, state: State) -> None:
         """Copy the saved state back."""
         for name, array in state.arrays().items():
             wp.copy(array, self._copies[name])
-        state.time, state.frame = self._scalars
+        state.origin, state.time, state.frame = self._scalars

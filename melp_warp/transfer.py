@@ -9,19 +9,23 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import Shared, launch_rows
+from melp_warp.kernels.rows import vec12, vec16
+from melp_warp.launch import launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
 THICKNESS_SLACK = 0.02
 """Relative difference between eta_L and eta_E that is left alone."""
 
+THICKNESS_LIMIT = 0.7
+"""Log of the ratio between eta_L and eta_E beyond which the difference is mended at once: a factor of two."""
+
 E_A_THREAD = 256
 """Fewest E worth a CPU thread where each gathers from hundreds of L."""
 
 
 class Transfer:
-    """APIC transfer. Made only for films with L.
+    """APIC transfer, or a blend with PIC and FLIP. Made only for films with L.
 
     Attributes:
         claim: [n_e] area that the L take up at their thickness, m^2.
@@ -31,28 +35,34 @@ class Transfer:
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.weight = film.zeros(lists.le.rows.index.shape[0])
-        self.share, self.given = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l, wp.vec3)
-        self.slope = film.zeros(film.n_l, wp.mat33)
+        self._given, self._pack = film.zeros(film.n_l, vec16), film.zeros(film.total, vec12)
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
+        self._kept = film.zeros(film.n_l, wp.vec3) if film.numerics.flip > 0.0 else None
 
     def l_to_e(self) -> None:
         """Mass, surfactant, claimed area and tangential velocity of E from L, (6) and (7)."""
         e = self.state.e
         self.gather()
         self.film.launch_e(kt.split_velocity_e, [e.mass, self.momentum, e.normal], [e.u])
+        if self._kept is not None:
+            self.film.launch_l(
+                kt.keep_fluctuation_l,
+                [self.state.l.u, e.u, self.weight, self.lists.le.rows, self.film.numerics.flip],
+                [self._kept],
+            )
 
     def gather(self) -> None:
         """The sums of (6) and (7) alone."""
         film, e = self.film, self.state.e
         self.normalize()
-        launch_rows(
+        launch(
             kt.gather_l_to_e,
             film.n_e,
             [
                 *(e.x[: film.n_e], self.lists.el.rows, film.r),
-                *map(Shared, (self.state.l.x, self.share, self.given, self.slope)),
+                *(self.state.l.x, self._given),
             ],
             [e.mass, e.surfactant, self.claim, self.momentum],
             film.device,
@@ -66,9 +76,10 @@ class Transfer:
             kt.normalize_l,
             [
                 *(lag.x, lag.u, lag.affine, lag.mass, lag.surfactant, lag.eta),
-                *(Shared(self.state.e.x), self.lists.le.rows, film.r, film.n_e, film.material.density),
+                *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
+                film.numerics.affinity,
             ],
-            [self.weight, self.share, self.given, self.slope, self.lost],
+            [self.weight, self._given, self.lost],
         )
 
     def e_to_l(self, dilation: wp.array, dt: float) -> None:
@@ -77,10 +88,12 @@ class Transfer:
         rate = -math.expm1(-dt / film.numerics.thickness_time)
         film.launch_e(
             kt.thickness_growth_e,
-            [dilation, self.claim, self.geometry.area, dt, rate, THICKNESS_SLACK],
+            [dilation, self.claim, self.geometry.area, dt, rate, THICKNESS_SLACK, THICKNESS_LIMIT],
             [self.growth],
         )
         self.gather_to_l()
+        if self._kept is not None:
+            film.launch_l(kt.add_fluctuation_l, [self._kept, self.state.l.normal], [self.state.l.u])
 
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
@@ -91,10 +104,11 @@ class Transfer:
     def gather_to_l(self) -> None:
         """The sums of (16)-(18), and the thickness of L grown by `growth`."""
         film, e, lag = self.film, self.state.e, self.state.l
+        launch(kt.pack_e, film.total, [e.x, e.u, e.normal, self.growth], [self._pack], film.device)
         film.launch_l(
             kt.gather_e_to_l,
             [
-                *(lag.x, *map(Shared, (e.x, e.u, e.normal, self.growth, self.weight))),
+                *(lag.x, self._pack, self.weight),
                 self.lists.le.rows,
             ],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],

@@ -38,6 +38,7 @@ MAX_FRAME = 999_999
 
 _FRAME_NAME = re.compile(r"film\.(\d{6})\.usdc")
 _MATERIAL = "/World/Looks/SoapFilm"
+_TRANSLATE = "xformOp:translate"
 _OTHER_RUN = (ROOT, FRAMES, "run.jsonl")
 
 
@@ -232,9 +233,12 @@ def _new_layer(extension: str, fps: float):
     return layer
 
 
-def _declare(layer, prims: Sequence[str]) -> None:
-    """Add /World and the point prims with every attribute, without values."""
-    from pxr import Sdf
+Origin = tuple[float, float, float]
+
+
+def _declare(layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0)) -> None:
+    """Add /World and the point prims with every attribute, without values; moved to `origin` where it is elsewhere."""
+    from pxr import Gf, Sdf, Vt
 
     world = Sdf.PrimSpec(layer, "World", Sdf.SpecifierDef, "Xform")
     world.kind = "component"
@@ -244,6 +248,16 @@ def _declare(layer, prims: Sequence[str]) -> None:
             spec = Sdf.AttributeSpec(points, attribute.name, Sdf.ValueTypeNames.Find(attribute.type_name))
             if attribute.interpolation:
                 spec.SetInfo("interpolation", attribute.interpolation)
+        if any(origin):
+            Sdf.AttributeSpec(points, _TRANSLATE, Sdf.ValueTypeNames.Double3).default = Gf.Vec3d(*origin)
+            order = Sdf.AttributeSpec(points, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform)
+            order.default = Vt.TokenArray([_TRANSLATE])
+
+
+def origin_of(layer, prim: str) -> Origin:
+    """Return where the points of a prim are measured from in this layer, m."""
+    spec = layer.GetAttributeAtPath(f"/World/{prim}.{_TRANSLATE}")
+    return tuple(spec.default) if spec else (0.0, 0.0, 0.0)
 
 
 def _frame_layer(frame_index: int, fps: float, frames: Mapping[str, ParticleFrame], gain: float, index: float):
@@ -253,7 +267,7 @@ def _frame_layer(frame_index: int, fps: float, frames: Mapping[str, ParticleFram
     layer = _new_layer(".usdc", fps)
     layer.startTimeCode = layer.endTimeCode = frame_index
     layer.customLayerData = {METADATA_KEY: {"schemaVersion": SCHEMA_VERSION, "thicknessUnit": THICKNESS_UNIT}}
-    _declare(layer, list(frames))
+    _declare(layer, list(frames), next(iter(frames.values())).origin)
     for prim, frame in frames.items():
         values = {}
         for attribute in ATTRIBUTES[:-1]:
@@ -284,14 +298,14 @@ def _add_preview_material(stage, prims: Sequence[str]) -> None:
         UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(f"/World/{prim}")).Bind(material)
 
 
-def _root_layer(fps: float, prims: Sequence[str], metadata: dict):
+def _root_layer(fps: float, prims: Sequence[str], metadata: dict, origin: Origin):
     """The root without its time range and clips, see `_set_range`."""
     from pxr import Usd, UsdGeom
 
     layer = _new_layer(".usda", fps)
     layer.documentation = "Soap film point cache. SI units, except primvars:thickness, which is in nanometres."
     layer.customLayerData = {METADATA_KEY: metadata}
-    _declare(layer, prims)
+    _declare(layer, prims, origin)
     stage = Usd.Stage.Open(layer)
     _add_preview_material(stage, prims)
     for prim in prims[1:]:
@@ -334,6 +348,7 @@ class CacheWriter:
             viewers show it only on demand.
         gain: factor on the reflectance in displayColor.
         index: refractive index of the film.
+        origin: where the points of all frames are measured from, m: the prims are translated there, in float64.
 
     Raises:
         InputError: an argument is out of range, or the folder holds a run, is a file or cannot be written.
@@ -347,6 +362,7 @@ class CacheWriter:
         prims: Sequence[str] = ("Film",),
         gain: float = DISPLAY_GAIN,
         index: float = WATER_INDEX,
+        origin: Origin = (0.0, 0.0, 0.0),
     ):
         require(np.isscalar(fps) and np.isfinite(fps) and fps > 0.0, "fps", fps, "a number above 0")
         require(isinstance(metadata.get("scene"), str), "metadata.scene", metadata.get("scene"), "text")
@@ -365,11 +381,13 @@ class CacheWriter:
         }
         taken = sorted(own.keys() & metadata.keys())
         require(not taken, "metadata", taken, "without the keys that the writer sets")
+        require(len(origin) == 3 and bool(np.all(np.isfinite(origin))), "origin", origin, "three finite numbers")
         self.directory = Path(directory)
         self._fps, self._prims, self._gain, self._index = float(fps), tuple(prims), float(gain), float(index)
         self._first: int | None = None
         self._last: int | None = None
-        self._root = _root_layer(self._fps, self._prims, _checked_metadata(metadata) | own)
+        self._origin = tuple(float(x) for x in origin)
+        self._root = _root_layer(self._fps, self._prims, _checked_metadata(metadata) | own, self._origin)
         _claim(self.directory)
         manifest = _new_layer(".usda", self._fps)
         _declare(manifest, self._prims)
@@ -395,6 +413,10 @@ class CacheWriter:
         require(set(frames) == set(self._prims), "frames", sorted(frames), f"one for each of {list(self._prims)}")
         for prim in self._prims:
             _check_arrays(f"frame {frame_index} {prim}", frames[prim])
+            found = frames[prim].origin
+            require(
+                found == self._origin, f"frame {frame_index} {prim}.origin", found, f"that of the cache, {self._origin}"
+            )
         ordered = {prim: frames[prim] for prim in self._prims}
         layer = _frame_layer(frame_index, self._fps, ordered, self._gain, self._index)
         _export(layer, frame_path(self.directory, frame_index))
@@ -424,7 +446,7 @@ def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> 
             raise InputError(f"{path}: /World/{prim}.{attribute.name} has no value at time code {frame}")
         array = np.array(value, dtype=attribute.dtype)
         arrays[attribute.field] = array.reshape(-1, 3) if attribute.columns == 3 else array
-    return ParticleFrame(**arrays)
+    return ParticleFrame(**arrays, origin=origin_of(layer, prim))
 
 
 def read_metadata(directory: str | os.PathLike) -> dict:

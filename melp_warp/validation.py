@@ -1,7 +1,8 @@
 """Validation: runs with a known answer, as functions that return numbers (SI).
 
 Every case builds a `Scene`, runs it and returns a dictionary: `exact`, `measured`, `error` (relative unless its
-docstring says otherwise) and the parameters it ran with; `series` holds what a plot needs. The tests run them small,
+docstring says otherwise) and the parameters it ran with; `series` holds what a plot needs, `cost` (in the cases that
+`melp_warp.tradeoff` takes) what the run took, see `cost`. The tests run them small,
 the tool `tools/validate.py` runs them at full size and writes docs/validation.md. Any can be called from Python:
 
     >>> from melp_warp.validation import oscillation
@@ -15,6 +16,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from melp_warp.estimate import array_bytes
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
@@ -80,6 +82,35 @@ def e_area(simulation: Simulation) -> np.ndarray:
 def l_array(simulation: Simulation, name: str) -> np.ndarray:
     """An array of the L state as float64."""
     return getattr(simulation.state.l, name).numpy().astype(np.float64)
+
+
+def cost(simulation: Simulation) -> dict:
+    """What a run took and what it kept.
+
+    Returns:
+        `steps`; `seconds`, wall time of all of them at that of the usual one; `simulated`, s; `bytes` of all arrays;
+        `mass_error`, of the E against the L they come from; `volume_error`, of the volume found anew from the surface
+        against that of the gas law. Relative; 0 where there are no L, no gas.
+    """
+    count, film = len(simulation.step_seconds), simulation.film
+    result = {
+        "steps": count,
+        "seconds": count * float(np.median(simulation.step_seconds)) if count else 0.0,
+        "simulated": simulation.time,
+        "bytes": array_bytes(simulation),
+        "mass_error": 0.0,
+        "volume_error": 0.0,
+    }
+    if simulation.has_l:
+        simulation.stepper.transfer.gather()
+        held = float(np.sum(simulation.state.e.mass.numpy(), dtype=np.float64))
+        result["mass_error"] = abs(held / l_array(simulation, "mass").sum() - 1.0)
+    if film.features.closed:
+        volume = simulation.state.gas.numpy()[:, 0]
+        simulation.stepper.lists.rebuild()
+        simulation.stepper.geometry.update()
+        result["volume_error"] = float(np.abs(simulation.state.gas.numpy()[:, 0] / volume - 1.0).max())
+    return result
 
 
 def damped_cosine(time: np.ndarray, signal: np.ndarray, omega: float) -> dict:
@@ -162,6 +193,7 @@ def resting_bubble(
     exact = 4.0 * material.film_tension / r.mean()
     measured = float(simulation.state.gas.numpy()[0, 1])
     return {
+        "cost": cost(simulation),
         "exact": exact,
         "measured": measured,
         "error": abs(measured / exact - 1.0),
@@ -212,6 +244,7 @@ def oscillation(
     time = dt * np.arange(count + 1)
     fit = damped_cosine(time, signal, exact)
     return {
+        "cost": cost(simulation),
         "exact": exact,
         "measured": fit["omega"],
         "error": fit["omega"] / exact - 1.0,
@@ -570,6 +603,7 @@ def marangoni_wave(
     measured = fit["omega"] / k
     turn = 2.0 * np.pi / steps_per_period
     return {
+        "cost": cost(simulation),
         "exact": exact,
         "measured": measured,
         "error": measured / exact - 1.0,
@@ -798,6 +832,7 @@ def drainage(
     x, eta, aim = e_points(simulation), e_thickness(simulation), profile(e_points(simulation))
     low, high = x[:, 1] == x[:, 1].min(), x[:, 1] == x[:, 1].max()
     return {
+        "cost": cost(simulation),
         "exact": float(aim[low].mean() / aim[high].mean()),
         "measured": float(eta[low].mean() / eta[high].mean()),
         "error": errors["e"],
@@ -838,6 +873,7 @@ def equilibrium(e_count: int = 1050, l_per_e: int = 16, duration: float = 5.0, *
     fall = np.array(seen) / seen[0]
     last = fall[-max(1, round(scene.fps)) :]
     return {
+        "cost": cost(simulation),
         "exact": 100.0,
         "measured": float(1.0 / fall[-1, 0]),
         "error": float(max(0.0, math.sqrt(last[:, 0].max()) / 0.1 - 1.0)),
@@ -892,6 +928,7 @@ def taylor_pair(separation: float = 0.81, duration: float = 8.0, every: int = 8,
     seen = np.array(seen)
     merged = seen[:, 1] < 0.5 * seen[0, 1]
     return {
+        "cost": cost(simulation),
         "separation": separation,
         "exact": float(seen[0, 1]),
         "measured": float(seen[-1, 1]),
@@ -935,6 +972,7 @@ def taylor_vortex(
     seen = np.array(seen)
     kept = seen[-1, 1:] / seen[0, 1:]
     return {
+        "cost": cost(simulation),
         "exact": 1.0,
         "measured": float(kept[0]),
         "error": float(kept[0] - 1.0),

@@ -1,56 +1,53 @@
-"""Benchmarks: time a step, stage by stage, against one bare neighbour gather over the same pairs.
+"""Benchmarks: a step, stage by stage, against one bare gather over the same pairs; rivals; scaling; start-up.
 
-    python tools/bench.py                        # the three sizes of the table, CPU
-    python tools/bench.py --device cuda:0 --case paper
-    python tools/bench.py --json new.json --compare old.json --page docs/benchmarks.md
+    python tools/bench.py                                    # everything but --large, CPU
+    python tools/bench.py --device cuda:0 --large            # with 4.8 million L and with 300 bubbles
+    python tools/bench.py --case bubble --only cases         # one case
+    python tools/bench.py --json new.json --compare old.json --pages docs
 
-Shared machines drift: trust the ratios, which are taken in one run.
+Shared machines drift: trust the ratios, which are taken in one run. SciPy, Numba and Taichi take part where they are
+installed (`pip install -e '.[bench]'`).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import platform
 import statistics
 import time
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import warp as wp
+from rivals import EXPLICIT_TIME, explicit, gather_bare, gathers
+from scaling import cores, halo, memory, series, start
 
 from melp_warp import __version__
-from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.sph import kernel_w
-from melp_warp.launch import THREADS, Shared, launch, launch_rows
-from melp_warp.material import Material
+from melp_warp.cluster import Bubble, Cluster, e_spacing
+from melp_warp.launch import THREADS, launch
+from melp_warp.material import Material, Surroundings
+from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.shapes import StarShaped
 from melp_warp.simulation import Simulation
 from melp_warp.stepper import STAGES
 
-TARGETS_MS = {"equilibrium": 8.0, "sphere": 38.0, "flow": 60.0}
-PUBLISHED_MS = {"equilibrium": 760.0, "sphere": 3820.0, "flow": 6950.0}
-"""The authors' released C++ program on two cores of the same kind of machine, ms a step."""
-
-
-@wp.kernel(enable_backward=False)
-def gather_bare(
-    x: wp.array(dtype=wp.vec3),
-    source: wp.array(dtype=wp.vec3),
-    rows: Neighbors,
-    r: float,
-    total: wp.array(dtype=float),
-):
-    """One weighted sum over the list, weights recomputed: the least that an SPH pass does."""
-    i = wp.tid()
-    p = x[i]
-    s = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        s += kernel_w(wp.length(source[rows.index[k]] - p), r)
-    total[i] = s
+TARGETS_MS = {
+    "equilibrium": 8.0,
+    "sphere": 38.0,
+    "flow": 60.0,
+    "paper": 300.0,
+    "large": 2500.0,
+    "bubbles": 450.0,
+}
+PUBLISHED_MS = {"equilibrium": 760.0, "sphere": 3820.0, "flow": 6950.0, "paper": 36400.0}
+"""The authors' released C++ program on two cores of the same kind of machine ("paper" on one), ms a step."""
 
 
 def scene_of(name: str, settings: list[str]) -> Scene:
@@ -59,10 +56,21 @@ def scene_of(name: str, settings: list[str]) -> Scene:
     return script.build(script.parameters.values(script.parameters.parse(settings)))
 
 
-def oscillating_sphere(e_count: int) -> Scene:
+def oscillating_sphere(e_count: int, numerics: Numerics | None = None) -> Scene:
     """A lone E-only bubble in motion."""
     shape = StarShaped(0.05, lambda d: 0.02 * (1.5 * d[:, 1] ** 2 - 0.5))
-    return Scene("sphere", shape, e_count=e_count, material=Material(surfactant=0.0), dt=2e-4)
+    material = Material(surfactant=0.0)
+    return Scene("sphere", shape, e_count=e_count, material=material, dt=2e-4, numerics=numerics or Numerics())
+
+
+def bubbles(count: int, e_count: int) -> Scene:
+    """Equal E-only bubbles on a cubic grid, a spacing apart: each presses on its neighbours."""
+    side = math.ceil(count ** (1.0 / 3.0) - 1e-9)
+    places = list(product(range(side), repeat=3))[:count]
+    pitch = 0.1 + e_spacing([0.05] * count, e_count)
+    shape = Cluster(tuple(Bubble(tuple(pitch * c for c in place), 0.05) for place in places))
+    surroundings = Surroundings(damping=20.0, air="added_mass")
+    return Scene("bubbles", shape, e_count=e_count, dt=1e-3, surroundings=surroundings, numerics=Numerics(support=3.0))
 
 
 CASES = {
@@ -70,9 +78,14 @@ CASES = {
     "sphere": lambda: oscillating_sphere(20480),
     "flow": lambda: scene_of("equilibrium", ["e_count=6900"]),
     "bubble": lambda: scene_of("giant_bubble", ["e_count=6900"]),
+    "foam": lambda: scene_of("triple_bubble", []),
     "paper": lambda: scene_of("equilibrium", ["e_count=6900", "l_per_e=100"]),
+    "large": lambda: scene_of("equilibrium", ["e_count=82000", "l_per_e=59"]),
+    "bubbles": lambda: bubbles(300, 192000),
 }
-DEFAULT_CASES = ("equilibrium", "sphere", "flow", "bubble")
+DEFAULT_CASES = ("equilibrium", "sphere", "flow", "bubble", "foam", "paper")
+LARGE_CASES = ("large", "bubbles")
+PARTS = ("cases", "rivals", "scaling", "start")
 
 
 def pairs_of(sim: Simulation) -> tuple[int, int]:
@@ -92,10 +105,7 @@ def time_gather(sim: Simulation, repeats: int) -> float:
     for _ in range(repeats + 1):
         began = time.perf_counter()
         for (one, x, n), total in zip(jobs, sums, strict=True):
-            if one is lists.le:
-                launch_rows(gather_bare, n, [x, Shared(state.e.x), one.rows, film.r], [total], sim.device)
-            else:
-                launch(gather_bare, n, [x, state.e.x, one.rows, film.r], [total], sim.device)
+            launch(gather_bare, n, [x, state.e.x, one.rows, film.r], [total], sim.device)
         wp.synchronize_device(sim.device)
         times.append(1e3 * (time.perf_counter() - began))
     return statistics.median(times[1:])
@@ -150,94 +160,182 @@ def machine(device: str) -> dict:
         "device": found.name if found.is_cuda else f"CPU, {platform.machine()}",
         "cores": os.cpu_count(),
         "threads": THREADS,
+        "load at the start": round(os.getloadavg()[0], 1),
         "warp": wp.__version__,
         "numpy": np.__version__,
         "melp_warp": __version__,
     }
 
 
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
 def table(results: list[dict], old: dict[str, dict]) -> str:
     """The cases as a Markdown table."""
-    head = [
-        "case",
-        "E",
-        "L",
-        "pairs",
-        "ms a step",
-        "target",
-        "published C++",
-        "times faster",
-        "bare gathers",
-        "ns a pair",
-    ]
-    head += ["against before"] if old else []
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    head = ["case", "E", "L", "pairs", "ms a step", "target", "published C++", "times faster", "bare gathers"]
+    head += ["ns a pair", *(["against before"] if old else [])]
+    rows = []
     for r in results:
-        target, published = r["target_ms"], r["published_ms"]
-        row = [
-            r["case"],
-            f"{r['e_count']:,}",
-            f"{r['l_count']:,}",
-            f"{r['ee_pairs'] + r['le_pairs']:,}",
-            f"{r['step_ms']:.1f}",
-            f"{target:.0f}" if target else "-",
-            f"{published:.0f}" if published else "-",
-            f"{published / r['step_ms']:.0f}" if published else "-",
-            f"{r['gathers']:.1f}",
-            f"{r['ns_per_pair']:.0f}",
-        ]
-        if old:
-            row.append(f"{r['step_ms'] / old[r['case']]['step_ms']:.2f}" if r["case"] in old else "-")
-        lines.append("| " + " | ".join(row) + " |")
-    return "\n".join(lines)
+        target, published, before = r["target_ms"], r["published_ms"], old.get(r["case"])
+        row = [r["case"], f"{r['e_count']:,}", f"{r['l_count']:,}", f"{r['ee_pairs'] + r['le_pairs']:,}"]
+        row += [f"{r['step_ms']:.1f}", f"{target:.0f}" if target else "-", f"{published:.0f}" if published else "-"]
+        row += [f"{published / r['step_ms']:.0f}" if published else "-"]
+        row += [f"{r['gathers']:.1f}", f"{r['ns_per_pair']:.0f}"]
+        row += [f"{r['step_ms'] / before['step_ms']:.2f}" if before else "-"] if old else []
+        rows.append(row)
+    return markdown(head, rows)
 
 
 def stage_table(results: list[dict]) -> str:
-    """Share of the stages as a Markdown table, ms."""
+    """Time of the stages as a Markdown table, ms."""
     names = [stage for stage in STAGES if any(stage in r["stage_ms"] for r in results)]
-    lines = ["| case | " + " | ".join(names) + " |", "|" + "---|" * (len(names) + 1)]
-    for r in results:
-        cells = [f"{r['stage_ms'][n]:.1f}" if n in r["stage_ms"] else "-" for n in names]
-        lines.append(f"| {r['case']} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    rows = [[r["case"], *(f"{r['stage_ms'][n]:.1f}" if n in r["stage_ms"] else "-" for n in names)] for r in results]
+    return markdown(["case", *names], rows)
 
 
-def write_page(path: Path, info: dict, results: list[dict], old: dict[str, dict]) -> None:
+def rival_tables(rivals: dict) -> str:
+    """The gather by other means, and the explicit step."""
+    own = next(g["ms"] for g in rivals["gathers"] if g["what"] == "gather, C++ row")
+    gathers = [
+        [g["what"], f"{g['ms']:.2f}", f"{g['ns_per_pair']:.2f}", f"{g['ms'] / own:.1f}"] for g in rivals["gathers"]
+    ]
+    implicit = rivals["explicit"][0]["seconds"]
+    steps = [
+        [s["what"], f"{s['dt']:.3g}", f"{s['seconds']:.2f}", f"{s['seconds'] / implicit:.1f}", f"{s['max_speed']:.3f}"]
+        for s in rivals["explicit"]
+    ]
+    return (
+        "One sum over the E:E list of the sphere:\n\n"
+        f"{markdown(['what', 'ms', 'ns a pair', 'times ours'], gathers)}\n\n"
+        f"A lone bubble of 2,000 E, no L, to {1e3 * EXPLICIT_TIME:g} ms of simulated time:\n\n"
+        f"{markdown(['step', 'dt, s', 's', 'times ours', 'largest speed, m/s'], steps)}"
+    )
+
+
+def start_table(made: list[dict]) -> str:
+    """Seconds from the command to the first frame of the default scene."""
+    return "First frame of `giant_bubble`, from the command on:\n\n" + markdown(
+        ["kernel cache", "s"], [[s["cache"], f"{s['seconds']:.1f}"] for s in made]
+    )
+
+
+def scaling_tables(made: dict) -> str:
+    """Cost against size, memory, cores and what a cut sends, as Markdown."""
+    rows = []
+    for s in made["series"]:
+        sizes = ", ".join(f"{r[s['key']]:,}" for r in s["runs"])
+        times = ", ".join(f"{r['step_ms']:.1f}" for r in s["runs"])
+        rows.append([s["name"], sizes, times, f"{s['exponent']:.2f}"])
+    one = made["cores"][0]["step_ms"]
+    threads = [[str(c["threads"]), f"{c['step_ms']:.1f}", f"{one / c['step_ms']:.2f}"] for c in made["cores"]]
+    m = made["memory"]
+    cut = [[str(h["parts"]), f"{h['e_count']:,}", f"{100 * h['halo']:.1f} %"] for h in made["halo"]]
+    return "\n\n".join(
+        [
+            markdown(["against", "sizes", "ms a step", "exponent"], rows),
+            f"Memory: {m['e_bytes']:,.0f} bytes an E, {m['l_bytes']:,.0f} bytes an L.",
+            "Threads, case bubble:\n\n" + markdown(["threads", "ms a step", "times faster"], threads),
+            "A sphere cut into slabs, E that a slab needs from others:\n\n"
+            + markdown(["slabs", "E", "share of all E"], cut),
+            fifty_million(m),
+        ]
+    )
+
+
+def fifty_million(memory: dict) -> str:
+    """What a scene of fifty million particles holds and moves, from the measured bytes a particle."""
+    rows = []
+    for per_e in (16, 64):
+        e = 50e6 / (1 + per_e)
+        size = e * memory["e_bytes"] + (50e6 - e) * memory["l_bytes"]
+        rows.append([str(per_e), f"{e / 1e6:.1f}", f"{(50e6 - e) / 1e6:.1f}", f"{size / 1e9:.0f}"])
+        rows[-1] += [str(math.ceil(size / (0.9 * room))) for room in (80e9, 141e9)]
+    head = ["L an E", "E, millions", "L, millions", "GB", "GPUs of 80 GB", "GPUs of 141 GB"]
+    return "Fifty million particles, by the bytes above:\n\n" + markdown(head, rows)
+
+
+def put(path: Path, figures: str) -> None:
     """Put the figures between the markers of a page; the text around them stays."""
     begin, end = "<!-- figures -->", "<!-- end of figures -->"
-    what = ", ".join(f"{k} {v}" for k, v in info.items())
-    figures = (
-        f"{begin}\n\n{what}\n\n{table(results, old)}\n\nMedian ms of each stage:\n\n{stage_table(results)}\n\n{end}"
-    )
-    text = path.read_text() if path.exists() else f"# Benchmarks\n\n{begin}\n{end}\n"
-    first, last = text.index(begin), text.index(end) + len(end)
-    path.write_text(text[:first] + figures + text[last:])
+    text = path.read_text()
+    path.write_text(text[: text.index(begin)] + f"{begin}\n\n{figures}\n\n" + text[text.index(end) :])
+
+
+def write_pages(folder: Path, made: dict, old: dict[str, dict]) -> None:
+    """Renew the figures of benchmarks.md and scaling.md that were taken."""
+    what = ", ".join(f"{k} {v}" for k, v in made["machine"].items())
+    results = made["results"]
+    figures = [what, table(results, old), f"Median ms of each stage:\n\n{stage_table(results)}"]
+    figures += [rival_tables(made["rivals"]), start_table(made["start"])]
+    put(folder / "benchmarks.md", "\n\n".join(figures))
+    put(folder / "scaling.md", f"{what}\n\n{scaling_tables(made['scaling'])}")
+
+
+def run_rivals(device: str) -> dict:
+    """The gather by other means on a film of 20,480 E, and the explicit step on one of 2,000."""
+    sim = Simulation(oscillating_sphere(20480), device)
+    return {
+        "gathers": gathers(sim),
+        "explicit": explicit(lambda numerics: oscillating_sphere(2000, numerics), device, 3.5e-4),
+    }
+
+
+def run_scaling(device: str, steps: int) -> dict:
+    """Cost against E, L, bubbles and cores."""
+    of_e = [lambda n=n: oscillating_sphere(n) for n in (1280, 5120, 20480)]
+    of_l = [lambda n=n: scene_of("equilibrium", ["e_count=2000", f"l_per_e={n}"]) for n in (4, 16, 64)]
+    of_bubbles = [lambda n=n: bubbles(n, 400 * n) for n in (2, 8, 27)]
+    sphere = series("E, a sphere", "e_count", of_e, device)
+    flat = series("L, a flat film of 2,000 E", "l_count", of_l, device)
+    regions = series("bubbles of 400 E", "regions", of_bubbles, device)
+    return {
+        "series": [sphere, flat, regions],
+        "memory": memory(flat, sphere),
+        "cores": cores(Path(__file__), "bubble", steps),
+        "halo": halo(20480, (2, 4, 8), device),
+    }
 
 
 def main() -> None:
-    """Run the cases and print, store and compare their figures."""
+    """Run the parts asked for and print, store and compare their figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--case", action="append", choices=sorted(CASES), help="may be given several times")
+    parser.add_argument("--large", action="store_true", help="also 82,000 E with 4.8 million L, and 300 bubbles")
+    parser.add_argument("--only", choices=PARTS, help="one part instead of all")
     parser.add_argument("--steps", type=int, default=15)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--compare", type=Path, help="JSON of an earlier run")
-    parser.add_argument("--page", type=Path, help="Markdown page whose figures are replaced")
+    parser.add_argument("--pages", type=Path, help="folder of benchmarks.md and scaling.md, whose figures are replaced")
     options = parser.parse_args()
-    wp.config.quiet = True
-    results = []
-    for name in options.case or DEFAULT_CASES:
-        results.append(run_case(name, options.device, options.steps))
-        print(table(results[-1:], {}).splitlines()[-1], flush=True)
+    if options.pages and options.only:
+        parser.error("--pages needs all parts: leave --only out")
+    wp.config.log_level = wp.LOG_WARNING
     old = {}
     if options.compare:
         old = {r["case"]: r for r in json.loads(options.compare.read_text())["results"]}
-    info = machine(options.device)
-    print(f"\n{table(results, old)}\n\n{stage_table(results)}")
+    wanted = (options.only,) if options.only else PARTS
+    made = {"machine": machine(options.device)}
+    if "cases" in wanted:
+        names = options.case or (*DEFAULT_CASES, *(LARGE_CASES if options.large else ()))
+        made["results"] = [run_case(name, options.device, options.steps) for name in names]
+        print(f"{table(made['results'], old)}\n\n{stage_table(made['results'])}\n", flush=True)
+    if "rivals" in wanted:
+        made["rivals"] = run_rivals(options.device)
+        print(rival_tables(made["rivals"]) + "\n", flush=True)
+    if "scaling" in wanted:
+        made["scaling"] = run_scaling(options.device, options.steps)
+        print(scaling_tables(made["scaling"]) + "\n", flush=True)
+    if "start" in wanted:
+        made["start"] = start()
+        print(start_table(made["start"]), flush=True)
     if options.json:
-        options.json.write_text(json.dumps({"machine": info, "results": results}, indent=1) + "\n")
-    if options.page:
-        write_page(options.page, info, results, old)
+        options.json.write_text(json.dumps(made, indent=1) + "\n")
+    if options.pages:
+        write_pages(options.pages, made, old)
 
 
 if __name__ == "__main__":

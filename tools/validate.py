@@ -464,8 +464,8 @@ NOTES = """\
 * **Small eddies fade.** A transfer takes 1/2 (K sigma)^4 of the speed a step, sigma = 0.23 supports: eddies of 16 E
   lose a tenth of their speed in 60 steps at support 4, less than half of that at support 3. Wider kernels merge Taylor
   vortices that should part.
-* **The midpoint scheme is not for frame-sized steps**: without air giant_bubble turns non-finite in its third step of
-  1/60 s, at capillary CFL 40; backward Euler holds. With the air's mass it stays finite, its E uneven by 40 %.
+* **The midpoint scheme is of second order in small steps alone**: where the shortest wave runs more than 8 spacings in
+  a step it goes over to backward Euler, or short waves would grow; giant_bubble without air holds so at 1/60 s.
 * **The surfactant equation is backward Euler in time**, so elastic waves lose 2 pi^2/(steps a period) of their
   amplitude a period, in steps of 1/60 s all of it.
 """

@@ -54,7 +54,7 @@ def write_run(folder, frames, prims=("Film",), first=0):
 
 def assert_same(found, expected):
     for field in dataclasses.fields(ParticleFrame):
-        a, b = getattr(found, field.name), getattr(expected, field.name)
+        a, b = (np.asarray(getattr(frame, field.name)) for frame in (found, expected))
         assert a.dtype == b.dtype, field.name
         assert a.shape == b.shape, field.name
         assert a.tobytes() == b.tobytes(), field.name

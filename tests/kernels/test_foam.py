@@ -89,7 +89,6 @@ def test_cover_says_where_two_sheets_are_one_film(device):
         s.membrane.find_contacts(s.state.e.x)
         inside = np.all((flat[:, 1:] > 4 * film.spacing) & (flat[:, 1:] < (wide - 5) * film.spacing), axis=1)
         assert s.membrane.cover.numpy()[inside] == pytest.approx(expected, abs=0.02)
-        assert np.all(s.membrane.beyond.numpy()[inside] == np.where(gap < 1.0, 1 - region[inside], -1))
 
 
 def test_contact_forces_add_up_to_nothing(device):
@@ -109,7 +108,7 @@ def test_contact_forces_add_up_to_nothing(device):
 
 def test_loads_have_the_net_force_of_contact(device):
     """Loads along the normals, with what gives back the rest, push each region as the pair forces at rest do."""
-    film, s = foam(pair(0.0), 1000, device)
+    _, s = foam(pair(0.0), 1000, device)
     m, e = s.membrane, s.state.e
     m.solve(1e-6)
     normal, region = e.normal.numpy().astype(np.float64), e.region.numpy()

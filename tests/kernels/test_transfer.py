@@ -166,3 +166,58 @@ def test_thickness_relaxes_to_that_of_e(device):
     claim = f64(s.transfer.claim) / f64(s.geometry.area)
     print(f"claim/area after: {claim.min():.3f} to {claim.max():.3f}")
     assert np.abs(np.log(claim)).max() < 1.5 * THICKNESS_SLACK
+
+
+def in_plane(film, s, seed=2):
+    """Random velocities of L and affine states in the plane of a flat film; the E are at rest."""
+    fill_l(s, seed)
+    rng = np.random.default_rng(seed)
+    s.state.l.u.assign((rng.normal(size=(film.n_l, 3)) * [1.0, 0.0, 1.0]).astype(np.float32))
+    s.state.e.u.zero_()
+
+
+@pytest.mark.parametrize("affinity", [0.0, 1.0])
+@pytest.mark.parametrize("flip", [0.0, 0.6, 1.0])
+def test_any_blend_conserves_momentum(flip, affinity, device):
+    """L gain what the E gained between the transfers, sum m_E du_E, whatever the blend: to rounding, at a rim too."""
+    film, s = make_stepper(SHAPES["flat"], 600, device, l_per_e=8, numerics={"flip": flip, "affinity": affinity})
+    in_plane(film, s)
+    mass = f64(s.state.l.mass)[:, None]
+    before = (mass * f64(s.state.l.u)).sum(axis=0)
+    s.transfer.l_to_e()
+    gain = np.zeros((film.total, 3))
+    gain[: film.n_e] = np.random.default_rng(3).normal(size=(film.n_e, 3)) * [1.0, 0.0, 1.0]
+    s.state.e.u.assign((f64(s.state.e.u) + gain).astype(np.float32))
+    s.transfer.e_to_l(film.zeros(film.n_e), 1e-3)
+    given = (f64(s.state.e.mass)[:, None] * gain[: film.n_e]).sum(axis=0)
+    after = (mass * f64(s.state.l.u)).sum(axis=0)
+    assert np.abs(after - before - given).max() < 1e-6 * (mass * np.abs(f64(s.state.l.u))).sum()
+    assert np.abs(given).max() > 1e-4 * np.abs(mass).sum()
+
+
+def test_flip_without_forces_leaves_each_l_its_velocity(device):
+    """Where no force acts FLIP changes no velocity, PIC makes a weighted mean of it: random ones all but vanish."""
+    left = {}
+    for flip in (0.0, 1.0):
+        film, s = make_stepper(SHAPES["flat"], 600, device, l_per_e=8, numerics={"flip": flip})
+        in_plane(film, s)
+        s.state.l.affine.zero_()
+        before = f64(s.state.l.u)
+        s.transfer.l_to_e()
+        s.transfer.e_to_l(film.zeros(film.n_e), 1e-3)
+        left[flip] = np.abs(f64(s.state.l.u) - before).max()
+    assert left[1.0] < 1e-5
+    assert left[0.0] > 1.0
+
+
+def test_flip_leaves_the_normal_motion_to_the_e(device):
+    """On a sphere L get the normal velocity of the E around them, whatever they carried."""
+    _, s = make_stepper(SHAPES["sphere"], 600, device, l_per_e=8, numerics={"flip": 1.0})
+    plain, p = make_stepper(SHAPES["sphere"], 600, device, l_per_e=8)
+    for stepper in (s, p):
+        fill_l(stepper)
+        stepper.transfer.l_to_e()
+        stepper.transfer.e_to_l(plain.zeros(plain.n_e), 1e-3)
+    n = f64(s.state.l.normal)
+    assert np.abs(np.sum((f64(s.state.l.u) - f64(p.state.l.u)) * n, axis=1)).max() < 1e-5
+    assert np.abs(f64(s.state.l.u) - f64(p.state.l.u)).max() > 1.0

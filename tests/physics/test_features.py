@@ -18,7 +18,7 @@ def eddies(x):
 
 
 def flat(count=5, **material_and_air):
-    drag = material_and_air.pop("drag", 0.0)
+    drag, flip = (material_and_air.pop(name, 0.0) for name in ("drag", "flip"))
     scene = Scene(
         "flat",
         Rectangle(0.1, 0.1),
@@ -27,6 +27,7 @@ def flat(count=5, **material_and_air):
         material=v.Material(**material_and_air),
         surroundings=v.Surroundings(drag=drag, gravity=(0.0, -v.GRAVITY, 0.0)),
         velocity=eddies,
+        numerics=v.Numerics(flip=flip),
     )
     simulation = Simulation(scene)
     v.steps(simulation, count, 2e-3)
@@ -52,6 +53,15 @@ def test_a_coefficient_of_zero_is_the_feature_off(name):
     tiny, real = flat(**{name: 1e-12}), flat(**{name: {"drag": 0.02, "viscosity": 1e-3}[name]})
     assert differ(off, tiny) < 1e-4
     assert differ(off, real) > 1e-2
+
+
+def test_no_flip_is_the_limit_of_little_and_makes_nothing():
+    """A tiny share changes next to nothing, a real one does; none has no buffer."""
+    off, tiny, real = (flat(flip=f) for f in (0.0, 1e-12, 0.9))
+    assert off.stepper.transfer._kept is None
+    assert tiny.stepper.transfer._kept is not None
+    assert differ(off, tiny) < 1e-5
+    assert differ(off, real) > 1e-3
 
 
 def test_no_surfactant_is_the_limit_of_little():

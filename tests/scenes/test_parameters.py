@@ -62,8 +62,8 @@ def test_reads(text, value):
         ("gravity=nan", ["gravity must be", "nan"]),
         ("gravity=inf", ["gravity must be", "inf"]),
         ("dt=nan", ["dt must be", "auto", "nan"]),
-        ("e_count=0", ["e_count must be a whole number from 1"]),
-        ("e_count=-5", ["e_count must be a whole number from 1"]),
+        ("e_count=0", ["e_count must be a whole number from 12"]),
+        ("e_count=-5", ["e_count must be a whole number from 12"]),
         ("e_count=10.5", ["e_count must be a whole number", "10.5"]),
         ("e_count=many", ["e_count must be a whole number", "'many'"]),
         ("seed=-1", ["seed must be a whole number from 0"]),
@@ -103,11 +103,11 @@ def test_a_scene_may_have_keys_of_its_own():
 
 def test_scene_gets_every_value():
     parameters = declare(radius=0.1, lift=0.5)
-    p = parameters.values({"gravity": 9.81, "e_count": 7, "frames": 3, "dt": 0.5, "cfl": 0.2, "density": 900.0})
+    p = parameters.values({"gravity": 9.81, "e_count": 70, "frames": 3, "dt": 0.5, "cfl": 0.2, "density": 900.0})
     scene = p.scene("test", Sphere(p.radius))
     assert scene.surroundings.gravity == (0.0, -9.81, 0.0)
     assert scene.surroundings.lift == 0.5
-    assert (scene.e_count, scene.frames, scene.dt) == (7, 3, 0.5)
+    assert (scene.e_count, scene.frames, scene.dt) == (70, 3, 0.5)
     assert (scene.numerics.cfl, scene.material.density) == (0.2, 900.0)
 
 

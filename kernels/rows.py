@@ -1,0 +1,322 @@
+"""The innermost loops of a step as C++: what a compiler vectorises only when told that sums may be reordered.
+
+Each equals the plain loop of its docstring to rounding (tests/kernels/test_rows.py). A row is summed by one thread, in
+one order: the result does not depend on the number of threads. On CUDA the pragmas are left out.
+"""
+
+import warp as wp
+
+from melp_warp.kernels.neighbors import Neighbors
+
+wp.set_module_options({"enable_backward": False})
+
+vec8 = wp.types.vector(length=8, dtype=wp.float32)
+vec10 = wp.types.vector(length=10, dtype=wp.float32)
+vec17 = wp.types.vector(length=17, dtype=wp.float32)
+vec12 = wp.types.vector(length=12, dtype=wp.float32)
+vec16 = wp.types.vector(length=16, dtype=wp.float32)
+mat53 = wp.types.matrix(shape=(5, 3), dtype=wp.float32)
+mat58 = wp.types.matrix(shape=(5, 8), dtype=wp.float32)
+
+LOOP = """
+#if !defined(__CUDA_ARCH__)
+#pragma clang fp reassociate(on) contract(fast)
+#pragma clang loop vectorize(assume_safety)
+#endif
+    for (int k = first; k < last; ++k)
+"""
+"""A loop over the neighbours of row i that may be summed in any order."""
+
+LANES = """
+#if !defined(__CUDA_ARCH__)
+#pragma clang loop vectorize_width(8) interleave_count(1) unroll(disable)
+#endif
+"""
+"""Before a loop over components, eight at once."""
+
+ROW = """
+    const int* index = rows.index.data;
+    const int first = rows.start.data[i], last = rows.stop.data[i];
+"""
+
+OFFSET = """
+        const int j = index[k];
+        const float dx = scale * (q[3 * j] - px), dy = scale * (q[3 * j + 1] - py), dz = scale * (q[3 * j + 2] - pz);
+        const float s = sqrtf(dx * dx + dy * dy + dz * dz);
+"""
+"""Offset of neighbour k and its length, in h = r/3."""
+
+WEIGHT = """
+        const float a = s < 3.0f ? 3.0f - s : 0.0f, b = s < 2.0f ? 2.0f - s : 0.0f, c = s < 1.0f ? 1.0f - s : 0.0f;
+        const float value = a * a * a * a * a - 6.0f * b * b * b * b * b + 15.0f * c * c * c * c * c;
+        const float w = j < limit ? 0.004661441847f * value : 0.0f;
+"""
+"""The quintic spline of `sph.kernel_w` for support 3 at (dx, dy, dz), none beyond index `limit`."""
+
+
+@wp.func_native(f"""{ROW}
+    const float* pairs = pair.data;
+    const float* values = x.data;
+    const float xi = values[i];
+    float total = 0.0f;
+    {{{LOOP}
+        total += pairs[k] * (xi - values[index[k]]);
+    }}
+    return total;
+""")
+def sum_differences(i: int, x: wp.array(dtype=float), pair: wp.array(dtype=float), rows: Neighbors) -> float:
+    """sum_j pair_ij (x_i - x_j)."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)source.data;
+    float* weights = weight.data;
+    const float px = p[0], py = p[1], pz = p[2], scale = 3.0f / r, unit = scale * scale;
+    float mx = 0.0f, my = 0.0f, mz = 0.0f, total = 0.0f;
+    {{{LOOP}
+    {{
+{OFFSET}{WEIGHT}        weights[k] = unit * w;
+        mx += w * dx;
+        my += w * dy;
+        mz += w * dz;
+        total += w;
+    }}
+    }}
+    return wp::vec_t<4, float>(scale * mx, scale * my, scale * mz, unit * total);
+""")
+def weigh_row(
+    i: int,
+    p: wp.vec3,
+    source: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    limit: int,
+    weight: wp.array(dtype=float),
+) -> wp.vec4:
+    """weight_k = W(|d|, r) with d = source_j - p, 0 from index `limit` on; returns sum_k weight_k (d, 1)."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)x.data;
+    const float px = q[3 * i], py = q[3 * i + 1], pz = q[3 * i + 2], scale = 3.0f / r;
+    const float ax = e1[0], ay = e1[1], az = e1[2], bx = e2[0], by = e2[1], bz = e2[2];
+    const float nx = n[0], ny = n[1], nz = n[2];
+    float m20 = 0, m11 = 0, m02 = 0, m30 = 0, m21 = 0, m12 = 0, m03 = 0, m40 = 0, m31 = 0, m22 = 0, m13 = 0, m04 = 0;
+    float z1 = 0, z2 = 0, z3 = 0, z4 = 0, z5 = 0;
+    {{{LOOP}
+    {{
+{OFFSET}{WEIGHT}        const float u = dx * ax + dy * ay + dz * az, v = dx * bx + dy * by + dz * bz;
+        const float wz = w * (dx * nx + dy * ny + dz * nz);
+        const float uu = u * u, uv = u * v, vv = v * v, wuu = w * uu, wuv = w * uv, wvv = w * vv;
+        m20 += wuu; m11 += wuv; m02 += wvv;
+        m30 += wuu * u; m21 += wuu * v; m12 += wvv * u; m03 += wvv * v;
+        m40 += wuu * uu; m31 += wuu * uv; m22 += wuu * vv; m13 += wvv * uv; m04 += wvv * vv;
+        z1 += wz * u; z2 += wz * v; z3 += wz * uu; z4 += wz * uv; z5 += wz * vv;
+    }}
+    }}
+    const float sums[17] = {{m20, m11, m02, m30, m21, m12, m03, m40, m31, m22, m13, m04, z1, z2, z3, z4, z5}};
+    wp::vec_t<17, float> moments;
+    for (int m = 0; m < 17; ++m)
+        moments[m] = sums[m];
+    return moments;
+""")
+def fit_moments(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    e1: wp.vec3,
+    e2: wp.vec3,
+    n: wp.vec3,
+    rows: Neighbors,
+    r: float,
+    limit: int,
+) -> vec17:
+    """Weighted moments of the neighbours of x_i below index `limit`, seen along e1, e2, n, lengths in h = r/3.
+
+    With (u, v, z) the components of x_j - x_i: sums of W u^a v^b for (a, b) = 20, 11, 02, 30, 21, 12, 03, 40, 31,
+    22, 13, 04, then of W z times u, v, u^2, uv, v^2.
+    """
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)x.data;
+    const float px = q[3 * i], py = q[3 * i + 1], pz = q[3 * i + 2], scale = 3.0f / r;
+    const int limit = x.shape[0];
+    float total = 0, mx = 0, my = 0, mz = 0, xx = 0, yy = 0, zz = 0, yz = 0, zx = 0, xy = 0;
+    {{{LOOP}
+    {{{OFFSET}{WEIGHT}
+        const float wx = w * dx, wy = w * dy, wz = w * dz;
+        total += w;
+        mx += wx; my += wy; mz += wz;
+        xx += wx * dx; yy += wy * dy; zz += wz * dz;
+        yz += wy * dz; zx += wz * dx; xy += wx * dy;
+    }}
+    }}
+    const float sums[10] = {{total, mx, my, mz, xx, yy, zz, yz, zx, xy}};
+    wp::vec_t<10, float> moments;
+    for (int m = 0; m < 10; ++m)
+        moments[m] = sums[m];
+    return moments;
+""")
+def cloud_moments(i: int, x: wp.array(dtype=wp.vec3), rows: Neighbors, r: float) -> vec10:
+    """Sums over neighbours of W times 1, x, y, z, xx, yy, zz, yz, zx, xy of x_j - x_i, lengths in h = r/3."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)x.data;
+    float* out = (float*)gradient.data;
+    const float px = q[3 * i], py = q[3 * i + 1], pz = q[3 * i + 2], scale = 3.0f / r;
+    const float ax = e1[0], ay = e1[1], az = e1[2], bx = e2[0], by = e2[1], bz = e2[2];
+    float t[5][3];
+    for (int m = 0; m < 5; ++m)
+        for (int c = 0; c < 3; ++c)
+            t[m][c] = scale * turn.data[m][c];
+    {{{LOOP}
+    {{{OFFSET}{WEIGHT}
+        const float u = dx * ax + dy * ay + dz * az, v = dx * bx + dy * by + dz * bz;
+        const float uu = u * u, uv = u * v, vv = v * v;
+        out[3 * k] = w * (u * t[0][0] + v * t[1][0] + uu * t[2][0] + uv * t[3][0] + vv * t[4][0]);
+        out[3 * k + 1] = w * (u * t[0][1] + v * t[1][1] + uu * t[2][1] + uv * t[3][1] + vv * t[4][1]);
+        out[3 * k + 2] = w * (u * t[0][2] + v * t[1][2] + uu * t[2][2] + uv * t[3][2] + vv * t[4][2]);
+    }}
+    }}
+""")
+def write_row_gradient(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    e1: wp.vec3,
+    e2: wp.vec3,
+    turn: mat53,
+    rows: Neighbors,
+    r: float,
+    limit: int,
+    gradient: wp.array(dtype=wp.vec3),
+):
+    """gradient_k = W/h times (u, v, u^2, uv, v^2) turn of each neighbour, lengths in h = r/3; 0 from `limit` on."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)x.data;
+    float* weights = weight.data;
+    const float* areas = area.data;
+    const float px = q[3 * i], py = q[3 * i + 1], pz = q[3 * i + 2], scale = 3.0f / r, own = areas[i];
+    const float unit = 0.04661441847f * own * scale * scale * scale * scale;
+    {{{LOOP}
+    {{{OFFSET}
+        const float t = s > 1.0e-3f ? s : 1.0e-3f;
+        const float a = t < 3.0f ? 3.0f - t : 0.0f, b = t < 2.0f ? 2.0f - t : 0.0f, c = t < 1.0f ? 1.0f - t : 0.0f;
+        const float aa = a * a, bb = b * b, cc = c * c;
+        const float other = j < limit ? areas[j < limit ? j : i] : rim_area;
+        weights[k] = unit * other * (aa * aa - 6.0f * bb * bb + 15.0f * cc * cc) / t;
+    }}
+    }}
+""")
+def weigh_row_laplacian(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    rows: Neighbors,
+    r: float,
+    limit: int,
+    rim_area: float,
+    weight: wp.array(dtype=float),
+):
+    """weight_k = a_i a_j `sph.laplacian_weight`(|x_j - x_i|, r); from index `limit` on a_j is `rim_area`."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)source.data;
+    const float* packs = (const float*)pack.data;
+    const float px = p[0], py = p[1], pz = p[2], scale = 3.0f / r, unit = scale * scale;
+    const int limit = source.shape[0];
+    const int room = 64;
+    float sums[16] = {{}}, turned[4] = {{}}, ws[room], xs[room], ys[room], zs[room];
+    for (int begin = first; begin < last; begin += room)
+    {{
+        const int count = last - begin < room ? last - begin : room;
+        {{{LOOP.replace("int k = first; k < last; ++k", "int m = 0; m < count; ++m")}
+        {{
+            const int k = begin + m;
+            {OFFSET}{WEIGHT}
+            ws[m] = unit * w;
+            xs[m] = dx / -scale;
+            ys[m] = dy / -scale;
+            zs[m] = dz / -scale;
+        }}
+        }}
+        for (int m = 0; m < count; ++m)
+        {{
+            const float* row = packs + 16 * (size_t)index[begin + m];
+            float t[16];
+            for (int c = 0; c < 16; ++c)
+                t[c] = ws[m] * row[c];
+            for (int c = 0; c < 16; ++c)
+                sums[c] += t[c];
+            for (int c = 0; c < 4; ++c)
+                turned[c] += xs[m] * t[4 + c] + ys[m] * t[8 + c] + zs[m] * t[12 + c];
+        }}
+    }}
+    wp::vec_t<8, float> total;
+    for (int c = 0; c < 3; ++c)
+        total[c] = sums[c] + turned[c];
+    for (int c = 0; c < 3; ++c)
+        total[3 + c] = sums[3 + 4 * c];
+    return total;
+""")
+def gather_row(
+    i: int, p: wp.vec3, source: wp.array(dtype=wp.vec3), pack: wp.array(dtype=vec16), rows: Neighbors, r: float
+) -> vec8:
+    """sum_j W(|d|, r) (m_j + S_j d, s_j) with d = p - source_j, three sums each.
+
+    A pack is (m, s_0, S_x, s_1, S_y, s_2, S_z, -) with S_x, S_y, S_z the columns of S.
+    """
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* packs = (const float*)pack.data;
+    const float* weights = weight.data;
+    const float origin[8] = {{p[0], p[1], p[2]}};
+    float r0[8] = {{}}, rx[8] = {{}}, ry[8] = {{}}, rz[8] = {{}}, n[4] = {{}};
+    for (int k = first; k < last; ++k)
+    {{
+        const float* row = packs + 12 * (size_t)index[k];
+        const float w = weights[k];
+        const float wx = w * (row[0] - origin[0]), wy = w * (row[1] - origin[1]), wz = w * (row[2] - origin[2]);
+{LANES}
+        for (int c = 0; c < 8; ++c)
+        {{
+            const float q = row[c] - origin[c];
+            r0[c] += w * q;
+            rx[c] += wx * q;
+            ry[c] += wy * q;
+            rz[c] += wz * q;
+        }}
+        for (int c = 0; c < 4; ++c)
+            n[c] += w * row[8 + c];
+    }}
+    wp::mat_t<5, 8, float> sums;
+    for (int c = 0; c < 8; ++c)
+    {{
+        sums.data[0][c] = r0[c];
+        sums.data[1][c] = rx[c];
+        sums.data[2][c] = ry[c];
+        sums.data[3][c] = rz[c];
+    }}
+    for (int c = 0; c < 4; ++c)
+        sums.data[4][c] = n[c];
+    return sums;
+""")
+def moment_row(
+    i: int, p: wp.vec3, pack: wp.array(dtype=vec12), weight: wp.array(dtype=float), rows: Neighbors
+) -> mat58:
+    """sum_k weight_k (1, d) x (d, a, 1, b) in rows 0 to 3, with d = position - p, and sum_k weight_k c in row 4.
+
+    A pack is (position, a, 1, b, c, -), with vectors a and c.
+    """
+    ...

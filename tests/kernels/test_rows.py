@@ -1,0 +1,209 @@
+"""The C++ loops over a row equal the sums that their docstrings state, and launches do not depend on the cores."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from melp_warp import launch as launcher
+from melp_warp.kernels import rows as kr
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.launch import launch
+from melp_warp.shapes import Disc, Sphere
+from tests.helpers import make_rows, make_stepper
+
+N, LIMIT, R = 60, 50, 1.0
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_rows(
+    x: wp.array(dtype=wp.vec3),
+    f: wp.array(dtype=float),
+    frame: wp.array(dtype=wp.vec3),
+    turn: kr.mat53,
+    pack16: wp.array(dtype=kr.vec16),
+    pack12: wp.array(dtype=kr.vec12),
+    rows: Neighbors,
+    r: float,
+    limit: int,
+    # outputs
+    pair: wp.array(dtype=float),
+    laplacian: wp.array(dtype=float),
+    gradient: wp.array(dtype=wp.vec3),
+    out: wp.array2d(dtype=float),
+):
+    i = rows.first + wp.tid()
+    s = kr.weigh_row(i, x[i], x, rows, r, limit, pair)
+    for c in range(4):
+        out[i, c] = s[c]
+    out[i, 4] = kr.sum_differences(i, f, pair, rows)
+    m = kr.fit_moments(i, x, frame[0], frame[1], frame[2], rows, r, limit)
+    for c in range(17):
+        out[i, 5 + c] = m[c]
+    q = kr.cloud_moments(i, x, rows, r)
+    for c in range(10):
+        out[i, 22 + c] = q[c]
+    g = kr.gather_row(i, x[i], x, pack16, rows, r)
+    for c in range(6):
+        out[i, 32 + c] = g[c]
+    kr.write_row_gradient(i, x, frame[0], frame[1], turn, rows, r, limit, gradient)
+    kr.weigh_row_laplacian(i, x, f, rows, r, limit, 0.7, laplacian)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_moments(
+    x: wp.array(dtype=wp.vec3),
+    pack: wp.array(dtype=kr.vec12),
+    pair: wp.array(dtype=float),
+    rows: Neighbors,
+    out: wp.array(dtype=kr.mat58),
+):
+    i = rows.first + wp.tid()
+    out[i] = kr.moment_row(i, x[i], pack, pair, rows)
+
+
+def spline(s):
+    """W for support 3, (22) of the paper's quintic."""
+    a, b, c = (np.maximum(v - s, 0.0) for v in (3.0, 2.0, 1.0))
+    return 0.004661441847 * (a**5 - 6.0 * b**5 + 15.0 * c**5)
+
+
+def slope(s):
+    """-W' for support 3."""
+    a, b, c = (np.maximum(v - s, 0.0) for v in (3.0, 2.0, 1.0))
+    return 5.0 * 0.004661441847 * (a**4 - 6.0 * b**4 + 15.0 * c**4)
+
+
+@pytest.fixture(scope="module")
+def cloud(device):
+    """Random points and fields, rows of 0 to 40 neighbours that are not themselves, and all that the loops make."""
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-0.5, 0.5, (N, 3)).astype(np.float32)
+    f = rng.uniform(0.5, 1.5, N).astype(np.float32)
+    columns = [rng.permutation(np.delete(np.arange(N), i))[: i % 41] for i in range(N)]
+    frame = np.linalg.qr(rng.normal(size=(3, 3)))[0].astype(np.float32)
+    turn = rng.normal(size=(5, 3)).astype(np.float32)
+    p16, p12 = rng.normal(size=(N, 16)).astype(np.float32), rng.normal(size=(N, 12)).astype(np.float32)
+    p12[:, :3], p12[:, 6] = x, 1.0
+    rows = make_rows(columns, device)
+    pairs = rows.index.shape[0]
+    pair, laplacian = (wp.zeros(pairs, dtype=float, device=device) for _ in range(2))
+    gradient, out = wp.zeros(pairs, dtype=wp.vec3, device=device), wp.zeros((N, 64), dtype=float, device=device)
+    moments = wp.zeros(N, dtype=kr.mat58, device=device)
+
+    def array(values, dtype):
+        return wp.array(values, dtype=dtype, device=device)
+
+    wx, w12 = array(x, wp.vec3), array(p12, kr.vec12)
+    inputs = [wx, array(f, float), array(frame, wp.vec3), kr.mat53(*turn.ravel().tolist()), array(p16, kr.vec16), w12]
+    launch(evaluate_rows, N, [*inputs, rows, R, LIMIT], [pair, laplacian, gradient, out], device)
+    launch(evaluate_moments, N, [wx, w12, pair, rows], [moments], device)
+    made = {"pair": pair, "laplacian": laplacian, "gradient": gradient, "out": out, "moments": moments}
+    made = {name: a.numpy() for name, a in made.items()}
+    i, j = np.repeat(np.arange(N), [len(c) for c in columns]), np.concatenate(columns).astype(int)
+    d = x[j].astype(float) - x[i]
+    return made, i, j, d, {"x": x, "f": f, "frame": frame, "turn": turn, "p16": p16, "p12": p12}
+
+
+def by_row(i, values):
+    """Sums of pair values by row, in float64."""
+    total = np.zeros((N, *values.shape[1:]))
+    np.add.at(total, i, values)
+    return total
+
+
+def agree(got, expected):
+    """Equal to the rounding of float32 sums."""
+    np.testing.assert_allclose(got, expected, rtol=1e-5, atol=2e-5 * max(np.abs(expected).max(), 1e-30))
+
+
+def test_weights(cloud):
+    """`weigh_row`: W of each pair, none beyond the limit, and sums of W (d, 1)."""
+    made, i, j, d, _ = cloud
+    w = 9.0 / R**2 * spline(3.0 * np.linalg.norm(d, axis=1) / R) * (j < LIMIT)
+    agree(made["pair"], w)
+    agree(made["out"][:, :4], by_row(i, w[:, None] * np.column_stack([d, np.ones(len(d))])))
+
+
+def test_differences(cloud):
+    """`sum_differences`: sum of pair (x_i - x_j)."""
+    made, i, j, _, given = cloud
+    f = given["f"].astype(float)
+    agree(made["out"][:, 4], by_row(i, made["pair"] * (f[i] - f[j])))
+
+
+def test_fit_moments(cloud):
+    """`fit_moments`: seventeen sums in the frame given."""
+    made, i, j, d, given = cloud
+    u, v, z = (3.0 / R * d @ given["frame"].astype(float).T).T
+    w = spline(3.0 * np.linalg.norm(d, axis=1) / R) * (j < LIMIT)
+    powers = [(2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4)]
+    heights = [z * u, z * v, z * u * u, z * u * v, z * v * v]
+    agree(made["out"][:, 5:22], by_row(i, w[:, None] * np.stack([u**a * v**b for a, b in powers] + heights, axis=1)))
+
+
+def test_cloud_moments(cloud):
+    """`cloud_moments`: ten sums, no limit."""
+    made, i, _, d, _ = cloud
+    x, y, z = 3.0 / R * d.T
+    w = spline(3.0 * np.linalg.norm(d, axis=1) / R)
+    terms = [np.ones_like(x), x, y, z, x * x, y * y, z * z, y * z, z * x, x * y]
+    agree(made["out"][:, 22:32], by_row(i, w[:, None] * np.stack(terms, axis=1)))
+
+
+def test_gathered_pack(cloud):
+    """`gather_row`: sum of W (m + S d, s) with d from the neighbour to the point."""
+    made, i, j, d, given = cloud
+    pack = given["p16"].astype(float)[j].reshape(-1, 4, 4)
+    w = 9.0 / R**2 * spline(3.0 * np.linalg.norm(d, axis=1) / R)
+    vector = pack[:, 0, :3] - np.einsum("kac,ka->kc", pack[:, 1:, :3], d)
+    agree(made["out"][:, 32:38], by_row(i, w[:, None] * np.column_stack([vector, pack[:, :3, 3]])))
+
+
+def test_moments_of_pack(cloud):
+    """`moment_row`: sum of weight (1, d) x (d, a, 1, b), and of weight c."""
+    made, i, j, d, given = cloud
+    pack, w = given["p12"].astype(float)[j], made["pair"].astype(float)
+    one = np.column_stack([np.ones(len(d)), d])
+    terms = np.column_stack([d, pack[:, 3:8]])
+    agree(made["moments"][:, :4], by_row(i, w[:, None, None] * one[:, :, None] * terms[:, None, :]))
+    agree(made["moments"][:, 4, :3], by_row(i, w[:, None] * pack[:, 8:11]))
+
+
+def test_gradient_rows(cloud):
+    """`write_row_gradient`: W/h times the quadratic basis turned."""
+    made, _, j, d, given = cloud
+    u, v, _ = (3.0 / R * d @ given["frame"].astype(float).T).T
+    w = 3.0 / R * spline(3.0 * np.linalg.norm(d, axis=1) / R) * (j < LIMIT)
+    basis = np.stack([u, v, u * u, u * v, v * v], axis=1)
+    agree(made["gradient"], w[:, None] * (basis @ given["turn"].astype(float)))
+
+
+def test_laplacian_weights(cloud):
+    """`weigh_row_laplacian`: a_i a_j 2 |W'|/d, with the rim's area beyond the limit."""
+    made, i, j, d, given = cloud
+    f, s = given["f"].astype(float), 3.0 * np.linalg.norm(d, axis=1) / R
+    agree(made["laplacian"], f[i] * np.where(j < LIMIT, f[j], 0.7) * 2.0 * (3.0 / R) ** 4 * slope(s) / s)
+
+
+def swirl(x):
+    """A flow along the film, m/s."""
+    return 0.05 * np.stack([np.sin(60.0 * x[:, 1]), np.cos(40.0 * x[:, 0]), 0.0 * x[:, 0]], axis=1)
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.05), Disc(0.05)], ids=["sphere", "disc"])
+def test_any_number_of_cores(shape, device, monkeypatch):
+    """Three steps on one core and on three, in a graph and launch by launch, are the same bits."""
+
+    def run(threads):
+        monkeypatch.setattr(launcher, "THREADS", threads)
+        for name in ("ROWS_A_THREAD", "ENTRIES_A_THREAD", "ALONE_ROWS"):
+            monkeypatch.setattr(launcher, name, 32)
+        stepper = make_stepper(shape, 300, device, l_per_e=4, velocity=swirl)[1]
+        for _ in range(3):
+            stepper.step(1e-3)
+        return stepper.state.numpy()
+
+    one, three = run(1), run(3)
+    for name, values in one.items():
+        assert np.array_equal(values, three[name]), name
+    assert np.abs(one["l.v"]).max() > 0.01
