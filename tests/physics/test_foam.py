@@ -38,24 +38,20 @@ def test_two_bubbles_settle_as_a_double_bubble():
 
 
 def test_partition_bends_as_the_pressures_say():
-    """R2 = 0.6 R1 at 2,000 E: 1/R2 - 1/R1 of the caps within 2 % of 1/R2; the pair stays where it is within 1 mm.
+    """R2 = 0.6 R1 at 2,000 E: 1/R2 - 1/R1 of the caps within 2 % of 1/R2; at rest the pair drifts by less than 2 mm/s.
 
-    The curvature is a difference: what is wrong with it is what is wrong with the pressures of two caps. The film of a
-    double bubble has no net force: what moves the two as a whole is numerical.
+    The curvature is a difference: what is wrong with it is what is wrong with the pressures of two caps. A foam has no
+    net force on itself: what moves it is numerical.
     """
     scene = v.foam_scene(*v.pair_of(R, 0.6 * R), 2000, frames=100)
     simulation, found, _ = v.settle(scene)
     pair = found.pairs[0]
     assert abs(pair.partition.curvature - pair.expected) < 0.02 / (0.6 * R)
-    moved = centre_of_mass(simulation) - centre_of_mass(Simulation(scene))
-    assert np.abs(moved).max() < 1e-3
-
-
-def centre_of_mass(simulation):
-    """[3] m, of the films and the air that moves along."""
-    e, stepper = simulation.state.e, simulation.stepper
-    mass = e.mass.numpy() + stepper.membrane.added.numpy()[e.region.numpy()] * stepper.geometry.area.numpy()
-    return np.average(e.x.numpy(), axis=0, weights=mass)
+    centre = simulation.state.e.x.numpy().mean(axis=0)
+    for _ in range(20):
+        simulation.advance_frame()
+    moved = simulation.state.e.x.numpy().mean(axis=0) - centre
+    assert np.linalg.norm(moved) < 2e-3 * 20 / 240.0
 
 
 def test_static_balance_converges_to_plateau():
@@ -93,7 +89,7 @@ def test_half_bubble_on_a_floor():
 
 
 def test_a_bubble_without_contact_falls_as_its_weight_says():
-    """g m/(m + A) t for a bubble that touches nothing, in steps of 1/60 s, within 1 %: the stiffness does not hold it."""
+    """g m/(m + A) t for a bubble that touches nothing, at 1/60 s, within 1 %: the stiffness does not hold it."""
     surroundings = Surroundings(air="added_mass", gravity=(0.0, -9.81, 0.0))
     simulation = Simulation(cluster_scene((Bubble((0.0, 0.0, 0.0), R),), 400, surroundings=surroundings, fps=60.0))
     for _ in range(6):
