@@ -12,7 +12,7 @@ except ModuleNotFoundError as error:
     raise SystemExit(f"{error}: run `pip install -e .` in the checkout first") from None
 
 PARAMETERS = declare(
-    **FOAM | {"damping": 60.0},
+    **FOAM | {"damping": 15.0},
     radius_1=0.05,
     ratio=(0.6, Key("-", "radius of the second bubble over that of the first", 0.05, 1.0)),
     gap=1.0,
