@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range, part_region, region_parts, region_total
+from melp_warp.kernels.regions import part_range, region_parts, region_total
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -176,14 +176,12 @@ def find_cover_e(
     x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
-    region: wp.array(dtype=wp.int32),
     facing: Neighbors,
     own: Neighbors,
     contact: Contact,
     # outputs
     cover: wp.array(dtype=float),
     faced: wp.array(dtype=float),
-    beyond: wp.array(dtype=wp.int32),
 ):
     """How much of each E's sheet is one film with another region's: 1 in a partition and on a wall, 0 outside.
 
@@ -191,28 +189,20 @@ def find_cover_e(
         x: [n] m.
         normal: [n] unit normals.
         area: [n_e] m^2.
-        region: [n] region of each E.
         facing: E of other regions near each E.
         own: E of the same region.
         contact: constants.
         cover: [n_e] 0 to 1.
         faced: [n_e] the same by other regions alone.
-        beyond: [n_e] region of the E that covers most of it, -1 for none.
     """
     i = facing.first + wp.tid()
     p = x[i]
     n = normal[i]
     shared = float(0.0)
-    most = float(0.0)
-    beyond[i] = -1
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
         w, _along, gap = meet_sheets(x[j] - p, n, normal[j], contact.reach)
-        a = area[j] * w * near_share(gap, contact.range)
-        shared += a
-        if a > most:
-            most = a
-            beyond[i] = region[j]
+        shared += area[j] * w * near_share(gap, contact.range)
     held = wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
     faced[i] = held
     for k in range(contact.point.shape[0]):
@@ -839,75 +829,97 @@ def set_push_r(gas: wp.array2d(dtype=wp.float64), contact: Contact, push: wp.arr
 
 
 @wp.kernel
-def debt_chunks(
+def gained_chunks(
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
-    cover: wp.array(dtype=float),
-    beyond: wp.array(dtype=wp.int32),
+    faced: wp.array(dtype=float),
     outer: wp.array(dtype=float),
     inertia: wp.array(dtype=float),
     change: wp.array(dtype=float),
-    debt: wp.array(dtype=wp.vec3),
     first: wp.array(dtype=wp.int32),
-    whole: float,
     # outputs
-    more: wp.array(dtype=wp.vec4),
+    gained: wp.array(dtype=wp.vec4),
 ):
-    """Parts of the momentum that each region is owed anew, kg m/s, and of its area that others cover, in `whole`.
-
-    Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
-    matrix, know normals alone, so that contact kicks a foam as a whole. What a region got from inside the foam counts
-    as its debt, which spreads to the regions that touch it, so that what they rightly got from one another cancels.
+    """Parts of the momentum that each region lost to the foam's own forces, kg m/s, and of its area that others cover.
 
     Args:
         normal: [n] unit normals.
         area: [n_e] m^2.
-        cover: [n_e] 0 to 1.
-        beyond: [n_e] region that covers each E, -1 for none.
+        faced: [n_e] share of each E that other regions cover.
         outer: [n_e] loads from outside the foam, kg m/s.
         inertia: [n_e] kg.
         change: [n_e] change of the normal speed, m/s.
-        debt: [regions] owed so far, kg m/s.
         first: [regions + 1] first E of each region.
-        whole: area through which a debt spreads within a step, m^2.
-        more: parts.
+        gained: parts.
     """
     c = wp.tid()
-    start, stop = part_range(c, first, more.shape[0])
-    own = debt[part_region(c, first, more.shape[0])]
+    start, stop = part_range(c, first, gained.shape[0])
     total = wp.vec3()
     touched = float(0.0)
     for i in range(start, stop):
         total += (outer[i] - inertia[i] * change[i]) * normal[i]
-        if beyond[i] >= 0:
-            w = cover[i] * area[i] / whole
-            total += w * (debt[beyond[i]] - own)
-            touched += w
-    more[c] = wp.vec4(total[0], total[1], total[2], touched)
+        touched += faced[i] * area[i]
+    gained[c] = wp.vec4(total[0], total[1], total[2], touched)
+
+
+@wp.kernel
+def pool_debt(
+    gained: wp.array(dtype=wp.vec4),
+    touch: wp.array(dtype=wp.int32),
+    contact: Contact,
+    share: float,
+    regions: int,
+    # outputs
+    debt: wp.array(dtype=wp.vec4),
+):
+    """Momentum owed to all bubbles that touch others, kg m/s, and what of it is paid in this step.
+
+    Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
+    matrix, know normals alone, so that contact kicks a foam as a whole.
+
+    Args:
+        gained: from `gained_chunks`.
+        touch: from `touch_chunks`.
+        contact: constants.
+        share: how much of the debt is paid in a step.
+        regions: number of regions.
+        debt: what is owed; what is paid now, with the area that others cover.
+    """
+    total = wp.vec4()
+    owed = wp.vec3(debt[0][0], debt[0][1], debt[0][2])
+    for g in range(regions):
+        own = region_total(gained, g, regions)
+        if own[3] > 0.0:
+            total += own
+    owed += wp.vec3(total[0], total[1], total[2])
+    for g in range(regions):
+        own = region_total(gained, g, regions)
+        if own[3] > 0.0:
+            owed = along_walls(owed, g, regions, touch, contact)
+    paid = share * owed
+    owed -= paid
+    debt[0] = wp.vec4(owed[0], owed[1], owed[2], 0.0)
+    debt[1] = wp.vec4(paid[0], paid[1], paid[2], total[3])
 
 
 @wp.kernel
 def pay_debt_r(
-    more: wp.array(dtype=wp.vec4),
+    gained: wp.array(dtype=wp.vec4),
     mass: wp.array(dtype=wp.mat33),
     touch: wp.array(dtype=wp.int32),
     contact: Contact,
-    share: float,
+    debt: wp.array(dtype=wp.vec4),
     # outputs
-    debt: wp.array(dtype=wp.vec3),
     recoil: wp.array(dtype=wp.vec3),
 ):
-    """Pay a share of each region's debt of momentum (kg m/s) as a velocity of the region as a whole. [regions], m/s.
-
-    A region that touches no other is paid at once.
-    """
+    """What each region gets of the debt, by its covered area; one that touches no other, all its own. [regions]."""
     g = wp.tid()
-    new = region_total(more, g, debt.shape[0])
-    owed = debt[g] + wp.vec3(new[0], new[1], new[2])
-    part = wp.where(new[3] > 0.0, share, 1.0)
-    owed = along_walls(owed, g, debt.shape[0], touch, contact)
-    debt[g] = (1.0 - part) * owed
-    recoil[g] = wp.inverse(region_total(mass, g, debt.shape[0])) * (part * owed)
+    regions = recoil.shape[0]
+    own = region_total(gained, g, regions)
+    net = along_walls(wp.vec3(own[0], own[1], own[2]), g, regions, touch, contact)
+    if own[3] > 0.0:
+        net = own[3] / debt[1][3] * wp.vec3(debt[1][0], debt[1][1], debt[1][2])
+    recoil[g] = wp.inverse(region_total(mass, g, regions)) * net
 
 
 @wp.kernel

@@ -35,8 +35,8 @@ PARTNER_REACH = 1.2
 BENT, CAP = 0.02, float(__import__("os").environ.get("CAP", "4"))
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
-PATIENCE = float(__import__("os").environ.get("PAT", "10"))
-"""Time in which force along bent sheets is passed on, in those of a wave across a spacing."""
+PATIENCE = 1.0
+"""Time in which force along bent sheets is passed on, in that of a wave across a spacing."""
 
 MOST = 0.5
 """Most force that an E takes over from its neighbours, in sigma times the spacing."""
@@ -97,7 +97,6 @@ class FoamMembrane:
 
     Attributes:
         cover: [n_e] 0 on a film of its own, 1 where the sheet is one film with another region's or a wall's.
-        beyond: [n_e] region that covers each E, -1 for none.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [regions] velocity of each region as a whole in the step, m/s: that of `State.motion`.
         frame: the same.
@@ -115,16 +114,15 @@ class FoamMembrane:
         self.fields, self.forces = fields, forces
         n = film.n_e
         self.contact = make_contact(film)
-        self.cover, self._faced, self.beyond = film.zeros(n), film.zeros(n), film.zeros(n, wp.int32)
+        self.cover, self._faced = film.zeros(n), film.zeros(n)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start = self.frame = state.motion
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
-        self._fall, self._missing, self._recoil, self._found, self._debt = (
-            film.zeros(film.regions, wp.vec3) for _ in range(5)
-        )
+        self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
+        self._debt = film.zeros(2, wp.vec4)
         self._stride = CORNERS + int(CONTACT_ROOM * film.room)
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -138,7 +136,7 @@ class FoamMembrane:
         )
         self.wanted = film.zeros(n, wp.int32)
         self._inertia, self._solid = film.parts(wp.mat33), film.parts(wp.mat33)
-        self._momentum, self._more, self._touch = film.parts(wp.vec3), film.parts(wp.vec4), film.parts(wp.int32)
+        self._momentum, self._gained, self._touch = film.parts(wp.vec3), film.parts(wp.vec4), film.parts(wp.int32)
         self._swept = film.parts(wp.float64)
         self._fresh = True
 
@@ -169,8 +167,8 @@ class FoamMembrane:
         film, e = self.film, self.state.e
         film.launch_e(
             kf.find_cover_e,
-            [x, e.normal, self.geometry.area, e.region, self.lists.eo.rows, self.lists.ee.rows, self.contact],
-            [self.cover, self._faced, self.beyond],
+            [x, e.normal, self.geometry.area, self.lists.eo.rows, self.lists.ee.rows, self.contact],
+            [self.cover, self._faced],
         )
 
     def nearest_regions(self) -> np.ndarray:
@@ -254,20 +252,11 @@ class FoamMembrane:
     def _pay_debt(self, dt: float) -> None:
         """Momentum that the foam gave itself in the solve, back to where it came from."""
         film, e = self.film, self.state.e
-        whole = 0.5 * film.spacing**2 * film.n_e / film.regions
-        film.launch_parts(
-            kf.debt_chunks,
-            [
-                *(e.normal, self.geometry.area, self.cover, self.beyond, self._outer, self._mass, self.response.x),
-                *(self._debt, film.first, whole),
-            ],
-            [self._more],
-        )
-        film.launch_regions(
-            kf.pay_debt_r,
-            [self._more, self._inertia, self._touch, self.contact, self._patience(dt)],
-            [self._debt, self._recoil],
-        )
+        arrays = [e.normal, self.geometry.area, self._faced, self._outer, self._mass, self.response.x, film.first]
+        film.launch_parts(kf.gained_chunks, arrays, [self._gained])
+        share, wall = self._patience(dt), [self._touch, self.contact]
+        film.launch_one(kf.pool_debt, [self._gained, *wall, share, film.regions], [self._debt])
+        film.launch_regions(kf.pay_debt_r, [self._gained, self._inertia, *wall, self._debt], [self._recoil])
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e

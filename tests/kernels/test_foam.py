@@ -1,4 +1,4 @@
-"""Foams on the device: tension of stars, exposure, contact, the gas in the solve, exchange of L."""
+"""Foams on the device: tension of stars, cover, contact, the gas in the solve, walls, exchange of L."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import warp as wp
 
 from melp_warp.cluster import Bubble, Cluster, Wall
 from melp_warp.errors import SimulationError
-from melp_warp.foam import FoamMembrane
 from melp_warp.material import Surroundings
 from melp_warp.sampling import make_film
 from tests.helpers import fitted_order, make_stepper
@@ -69,16 +68,27 @@ def test_star_vectors_close(device):
     assert np.abs(vector.sum(axis=0)).max() < 3e-4 * np.abs(vector).sum()
 
 
-def test_bubbles_apart_are_exposed(device):
-    """Beyond two border radii nothing is felt; closer than that the caps facing each other are not exposed."""
-    _, far = foam(pair(0.05), 600, device)
-    far.membrane.find_contacts()
-    assert np.all(far.membrane.exposure.numpy() == 1.0)
-    _, near = foam(pair(0.001), 600, device)
-    near.membrane.find_contacts()
-    exposure, x = near.membrane.exposure.numpy(), near.state.e.x.numpy()
-    assert np.all(exposure[np.abs(x[:, 0]) < 0.004] < 0.2)
-    assert np.all(exposure[np.abs(x[:, 0]) > 0.05] == 1.0)
+def test_cover_says_where_two_sheets_are_one_film(device):
+    """Two flat sheets a gap g apart: cover (1 - g/range)^2 sharpened at its ends; none beyond the range."""
+    for gap, expected in ((1.0, 0.0), (0.5, (0.25 - 0.1) / 0.8), (0.0, 1.0)):
+        film, s = foam(pair(2.0), 4000, device)
+        x = s.state.e.x.numpy()
+        region = s.state.e.region.numpy()
+        flat, normal = np.zeros_like(x), np.zeros_like(x)
+        side = np.where(region == 0, 1.0, -1.0)
+        count = np.bincount(region)
+        for g in range(2):
+            wide = int(np.ceil(np.sqrt(count[g])))
+            k = np.arange(count[g])
+            flat[region == g, 1:] = film.spacing * np.stack([k % wide, k // wide], axis=1)
+        flat[:, 0], normal[:, 0] = -0.5 * side * gap * film.spacing, side
+        s.state.e.x.assign(flat.astype(np.float32))
+        s.state.e.normal.assign(normal.astype(np.float32))
+        s.geometry.area.fill_(film.spacing**2)
+        s.lists.rebuild()
+        s.membrane.find_contacts(s.state.e.x)
+        inside = np.all((flat[:, 1:] > 4 * film.spacing) & (flat[:, 1:] < (wide - 5) * film.spacing), axis=1)
+        assert s.membrane.cover.numpy()[inside] == pytest.approx(expected, abs=0.02)
 
 
 def test_contact_forces_add_up_to_nothing(device):
@@ -89,26 +99,26 @@ def test_contact_forces_add_up_to_nothing(device):
     s.lists.rebuild()
     s.geometry.update()
     s.membrane.solve(1e-3)
-    normal = s.state.e.normal.numpy().astype(np.float64)
-    m = s.membrane
-    m._assemble(1e-3)
-    total = m.force.numpy().astype(np.float64)
-    m.film.launch_e(*pull_only(m, 1e-3))
-    contact = (total - m.force.numpy())[:, None] * normal
-    first = s.state.e.region.numpy() == 0
-    push = contact[first].sum(axis=0)
+    force, region = s.membrane.force.numpy().astype(np.float64), s.state.e.region.numpy()
+    # tension of a region adds up to nothing, so that what is left is contact
+    push = force[region == 0].sum(axis=0)
     assert push[0] < 0.0
-    assert np.abs(contact.sum(axis=0)).max() < 0.01 * np.abs(push[0])
+    assert np.abs(force.sum(axis=0)).max() < 1e-5 * np.abs(push[0])
 
 
-def pull_only(m: FoamMembrane, dt):
-    """The launch of the tension alone, into `m.force`."""
-    from melp_warp.kernels import foam as kf
-
-    g, operator = m.geometry, m.response.operator
-    inputs = [m.predicted, m.state.e.normal, m.fields.gamma, m.exposure, m.state.e.region]
-    inputs += [m.film.tension, m.film.slope, g.star, g.tie, dt]
-    return kf.pull_foam_e, inputs, [m.force, operator.rows, operator.pair]
+def test_loads_have_the_net_force_of_contact(device):
+    """Loads along the normals, with what gives back the rest, push each region as the pair forces at rest do."""
+    _, s = foam(pair(0.0), 1000, device)
+    m, e = s.membrane, s.state.e
+    m.solve(1e-6)
+    normal, region = e.normal.numpy().astype(np.float64), e.region.numpy()
+    inertia = e.mass.numpy() + m.added.numpy()[region] * s.geometry.area.numpy()
+    back = np.sum(m._missing.numpy()[region] * normal, axis=1) * inertia
+    loads = (m._load.numpy() + back)[:, None] * normal
+    rest = m._rest.numpy().astype(np.float64)
+    for g in range(2):
+        net = rest[region == g].sum(axis=0)
+        assert loads[region == g].sum(axis=0) == pytest.approx(net, abs=1e-3 * np.abs(net).max())
 
 
 def test_gas_solver_leaves_a_small_true_residual(device):
@@ -173,16 +183,16 @@ def make_film_regions(shape, device):
 
 
 def test_wall_carries_a_bubble(device):
-    """A bubble on a wetted wall clings to it: the E there are not exposed, and it does not fall through."""
+    """A bubble on a wetted wall clings to it: the E there are covered, and it does not fall through."""
     shape = Cluster((Bubble((0.0, R, 0.0), R),), (Wall((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),))
     surroundings = Surroundings(air="added_mass", damping=30.0, gravity=(0.0, -9.81, 0.0))
     film, s = foam(shape, 800, device, surroundings=surroundings)
     for _ in range(40):
         s.step(1.0 / 480.0)
         s.check()
-    y, exposure = s.state.e.x.numpy()[:, 1], s.membrane.exposure.numpy()
-    assert y.min() > -0.3 * film.spacing
-    assert np.all(exposure[y < 0.1 * film.spacing] < 0.5)
+    y, cover = s.state.e.x.numpy()[:, 1], s.membrane.cover.numpy()
+    assert y.min() >= 0.0
+    assert np.all(cover[y < 0.1 * film.spacing] > 0.5)
     assert np.sum(y < 0.3 * film.spacing) > 20
 
 

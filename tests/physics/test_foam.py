@@ -10,6 +10,7 @@ from melp_warp.material import Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
+from tests.helpers import fitted_order
 
 R = 0.05
 AIR = Surroundings(air="added_mass", damping=30.0)
@@ -28,34 +29,78 @@ def two(e_count=600, events=(), **options):
 
 
 def test_two_bubbles_settle_as_a_double_bubble():
-    """1,000 E a bubble: dihedral angles within 4 degrees of 120, area within 0.5 % of the least, gas within 1e-4.
-
-    The angle is off by a few spacings over the radius; at 10,000 E it is within 1.2 degrees (docs/validation-foams.md).
-    """
-    r = v.double_bubble(1000, frames=90)
-    assert r["error"] < 4.0
+    """1,000 E a bubble: dihedral angles within 1.5 degrees of 120, area within 0.5 % of the least, gas within 1e-4."""
+    r = v.double_bubble(1000, frames=100)
+    assert r["error"] < 1.5
     assert abs(r["area_error"]) < 5e-3
     assert r["volume_drift"] < 1e-4
-    assert r["speed"] < 0.2
+    assert r["speed"] < 0.05
 
 
 def test_partition_bends_as_the_pressures_say():
-    """R2 = 0.6 R1: the partition's curvature is 1/R2 - 1/R1 of the caps, within 3 % of the small cap's own at 2,000 E.
+    """R2 = 0.6 R1 at 2,000 E: 1/R2 - 1/R1 of the caps within 2 % of 1/R2; the pair stays where it is within 1 mm.
 
-    It is a difference: what is wrong with it is what is wrong with the pressures of two caps.
+    The curvature is a difference: what is wrong with it is what is wrong with the pressures of two caps. The film of a
+    double bubble has no net force: what moves the two as a whole is numerical.
     """
-    r = v.double_bubble(2000, ratio=0.6, frames=90)
-    assert abs(r["curvature"] - r["expected_curvature"]) < 0.03 / (0.6 * R)
+    scene = v.foam_scene(*v.pair_of(R, 0.6 * R), 2000, frames=100)
+    simulation, found, _ = v.settle(scene)
+    pair = found.pairs[0]
+    assert abs(pair.partition.curvature - pair.expected) < 0.02 / (0.6 * R)
+    moved = centre_of_mass(simulation) - centre_of_mass(Simulation(scene))
+    assert np.abs(moved).max() < 1e-3
 
 
-def test_static_pull_falls_with_the_angle_as_theory_says():
-    """d/dtheta (2 cos(theta/2) - 1) = -sin(60)/180 pi a degree, within 25 %; it balances within 5 degrees of 120.
+def centre_of_mass(simulation):
+    """[3] m, of the films and the air that moves along."""
+    e, stepper = simulation.state.e, simulation.stepper
+    mass = e.mass.numpy() + stepper.membrane.added.numpy()[e.region.numpy()] * stepper.geometry.area.numpy()
+    return np.average(e.x.numpy(), axis=0, weights=mass)
 
-    The corner of the test shape is an ideal arc, not the one a run settles at: what it says of the angle is coarse.
+
+def test_static_balance_converges_to_plateau():
+    """Exact double bubbles with lines rounded over a spacing: the net pull is 2 cos(theta/2) - 1 but for that rounding.
+
+    Its slope is -sin(60) pi/180 a degree within 3 %; it balances at 120 degrees but for an error that falls with the
+    spacing: 3.5 degrees at 1,000 E, 0.8 at 10,000 (docs/validation-foams.md).
     """
-    r = v.balancing_angle(1000)
-    assert r["slope"] == pytest.approx(-np.sin(np.radians(60.0)) * np.pi / 180.0, rel=0.25)
-    assert abs(r["error"]) < 5.0
+    coarse, fine = v.balancing_angle(1000), v.balancing_angle(3000)
+    for r in (coarse, fine):
+        assert r["slope"] == pytest.approx(-np.sin(np.radians(60.0)) * np.pi / 180.0, rel=0.03)
+    assert 0.0 < fine["error"] < 2.0
+    assert fitted_order([1.0, 1.0 / np.sqrt(3.0)], [coarse["error"], fine["error"]]) > 0.9
+
+
+def test_three_bubbles_meet_at_equal_angles():
+    """700 E a bubble: dihedral angles of all lines within 3 degrees of 120, edges within 2 % of 109.47."""
+    r = v.ring(3, 700, frames=120)
+    assert r["error"] < 3.0
+    assert r["edge_error"] < 0.02
+
+
+def test_half_bubble_on_a_floor():
+    """A bubble set down on a wet floor becomes half a bubble: 2^(1/3) R high within 5 %, at rest where it was."""
+    surroundings = Surroundings(air="added_mass", damping=30.0)
+    walls = (Wall((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),)
+    scene = cluster_scene((Bubble((0.0, 1.01 * R, 0.0), R),), 600, walls=walls, surroundings=surroundings)
+    simulation = Simulation(scene)
+    for _ in range(80):
+        simulation.advance_frame()
+    x = simulation.state.e.x.numpy()
+    assert x[:, 1].max() == pytest.approx(2.0 ** (1.0 / 3.0) * R, rel=0.05)
+    assert simulation.diagnostics()["max_speed"] < 0.05
+    assert np.abs(x.mean(axis=0)[[0, 2]]).max() < 0.1 * R
+
+
+def test_a_bubble_without_contact_falls_as_its_weight_says():
+    """g m/(m + A) t for a bubble that touches nothing, in steps of 1/60 s, within 1 %: the stiffness does not hold it."""
+    surroundings = Surroundings(air="added_mass", gravity=(0.0, -9.81, 0.0))
+    simulation = Simulation(cluster_scene((Bubble((0.0, 0.0, 0.0), R),), 400, surroundings=surroundings, fps=60.0))
+    for _ in range(6):
+        simulation.advance_frame()
+    mass = simulation.scene.material.areal_mass
+    inertia = mass + float(simulation.stepper.membrane.added.numpy()[0])
+    assert simulation.state.motion.numpy()[0, 1] == pytest.approx(-9.81 * mass / inertia * 0.1, rel=0.01)
 
 
 def test_liquid_is_conserved_while_it_crosses():
@@ -117,11 +162,7 @@ def test_merge_adds_the_gas_and_keeps_the_liquid():
 
 
 def test_surface_energy_counts_a_partition_once():
-    """Two bubbles apart have 2 sigma 8 pi R^2; joined, 2 sigma times the least area but for the border, within 0.5 %.
-
-    A border of radius r takes 3 r/sqrt(3) off the films and adds three arcs of pi r/3, of which the atmosphere's has no
-    particles and is not counted: 2 sqrt(3) - 2 pi/3 = 1.37 sigma r a length less.
-    """
+    """Two bubbles apart have 2 sigma 8 pi R^2; joined, 2 sigma times the least area of two such volumes, within 1 %."""
     simulation = Simulation(v.foam_scene(*v.pair_of(R, R), 1000, frames=60))
     sigma = simulation.scene.material.film_tension
     apart = Simulation(cluster_scene((Bubble((-R, 0.0, 0.0), R), Bubble((2.0 * R, 0.0, 0.0), R)), 2000))
@@ -129,11 +170,8 @@ def test_surface_energy_counts_a_partition_once():
     assert apart.diagnostics()["surface_energy"] == pytest.approx(2.0 * sigma * 8.0 * np.pi * R**2, rel=2e-3)
     for _ in range(60):
         simulation.advance_frame()
-    cube = 4.0 / 3.0 * np.pi * R**3 / (9.0 * np.pi)
-    films, line = 27.0 * np.pi * cube ** (2.0 / 3.0), np.sqrt(3.0) * np.pi * (8.0 * cube) ** (1.0 / 3.0)
-    border = (2.0 * np.sqrt(3.0) - 2.0 * np.pi / 3.0) * simulation.scene.numerics.border * simulation.film.spacing
-    expected = sigma * (2.0 * films - border * line)
-    assert simulation.diagnostics()["surface_energy"] == pytest.approx(expected, rel=5e-3)
+    films = 27.0 * np.pi * (4.0 / 3.0 * np.pi * R**3 / (9.0 * np.pi)) ** (2.0 / 3.0)
+    assert simulation.diagnostics()["surface_energy"] == pytest.approx(2.0 * sigma * films, rel=0.01)
 
 
 def test_a_bubble_appears_when_its_place_is_free():
@@ -221,9 +259,8 @@ def test_double_bubble_at_10000_e():
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
 def test_partition_curvature(ratio):
-    """Table 3: 1/R2 - 1/R1 within 2 % of 1/R2; relative to the difference itself see docs/validation-foams.md."""
-    r = v.double_bubble(6000, ratio=ratio)
-    assert abs(r["curvature"] - r["expected_curvature"]) < 0.02 / (ratio * R)
+    """Table 3: 1/R2 - 1/R1 within 2 %."""
+    assert abs(v.double_bubble(6000, ratio=ratio)["curvature_error"]) < 0.02
 
 
 @pytest.mark.slow
