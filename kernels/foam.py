@@ -49,7 +49,7 @@ def pair_star_e(
     paired: wp.array(dtype=float),
 ):
     """Symmetric weights: the mean of the two that a pair found, 0 where only one of them sees the other."""
-    i = wp.tid()
+    i = star.first + wp.tid()
     for k in range(star.start[i], star.stop[i]):
         j = star.index[k]
         w = float(0.0)
@@ -67,7 +67,7 @@ def star_vector_e(
     vector: wp.array(dtype=wp.vec3),
 ):
     """Gradient of the polyhedral volume, sum d_j x d_j+1 / 6 over the star: a third of its area, with normal. m^2."""
-    i = wp.tid()
+    i = star.first + wp.tid()
     p = x[i]
     total = wp.vec3()
     first = star.start[i]
@@ -195,7 +195,7 @@ def find_cover_e(
         cover: [n_e] 0 to 1.
         faced: [n_e] the same by other regions alone.
     """
-    i = wp.tid()
+    i = facing.first + wp.tid()
     p = x[i]
     n = normal[i]
     shared = float(0.0)
@@ -382,7 +382,7 @@ def pull_foam_e(
         rows: coupled E, here those of the star.
         pair: coefficients, aligned with `rows`, kg.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     at = predicted[i]
     own = tension[region[i]]
@@ -508,7 +508,7 @@ def press_foam_e(
         pair: coefficients, aligned with `rows`, kg.
         wanted: [n_e] entries that the row needs.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = normal[i]
     p = x[i]
     at = predicted[i]
@@ -595,7 +595,7 @@ def seek_normals_e(
         share: how far l comes towards what it should be in this step, 0 to 1.
         sought: [n_e] l over the sum of weights, N m^2; in and out.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = normal[i]
     p = x[i]
     along = tangential(rest[i] + ahead[region[i]] * vector[i], n)
@@ -654,7 +654,7 @@ def gather_load_e(
         most: most that an E takes from its neighbours, N.
         load: [n_e] N.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     found = kernel_w(0.0, reach) * sought[i]
     for k in range(rows.start[i], rows.stop[i]):
@@ -970,7 +970,7 @@ def recall_e(
         slowed: [n_e] m/s.
         turned: [n_e] unit normals.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     p = x[i]
     v = u[i]
     n = normal[i]
@@ -1015,14 +1015,14 @@ def find_partner_e(
     partner: wp.array(dtype=wp.int32),
 ):
     """The nearest E that faces each E across a partition, -1 for none. [n_e]."""
-    i = wp.tid()
+    i = facing.first + wp.tid()
     partner[i] = nearest_facing(x[i], normal[i], i, x, normal, facing, reach)
 
 
 @wp.kernel
 def find_nearest_e(x: wp.array(dtype=wp.vec3), facing: Neighbors, nearest: wp.array(dtype=wp.int32)):
     """The nearest E of another region, -1 for none. [n_e]."""
-    i = wp.tid()
+    i = facing.first + wp.tid()
     nearest[i] = nearest_in_row(x[i], i, x, facing)
 
 

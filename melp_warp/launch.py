@@ -43,8 +43,9 @@ class Shared:
 def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None, least: int = ROWS_A_THREAD) -> None:
     """Launch `kernel` over `dim` threads; nothing happens for dim 0.
 
-    On the CPU all cores share a kernel whose row is `rows.first + wp.tid()`: each is given a range of the rows. Such a
-    kernel reads what it likes and writes row i of its outputs, so the result is the same to the bit.
+    On the CPU all cores share a kernel whose row is `rows.first + wp.tid()`, `rows` any of its neighbours: each is
+    given a range of the rows. Such a kernel reads what it likes and writes row i of its outputs, so the result is the
+    same to the bit.
 
     Args:
         kernel: the kernel.
@@ -90,7 +91,7 @@ def _launch(kernel, dim: int, inputs: Sequence, outputs: Sequence, device) -> No
 @cache
 def _starts_anywhere(function: Callable) -> bool:
     """Whether a kernel takes its row from where its rows start."""
-    return "rows.first + wp.tid()" in inspect.getsource(function)
+    return ".first + wp.tid()" in inspect.getsource(function)
 
 
 def _share(kernel, dim: int, least: int, device, run: Callable[[int, int], None]) -> None:
