@@ -22,6 +22,8 @@ SHEETS = {
     "equilibrium": (["--fps", "120", "--frames", "60"], (0, 1, 2, 4, 10, 60)),
     "taylor_vortices": ([], (0, 60, 120, 180, 240, 300)),
     "oscillating_bubble": ([], (0, 5, 10, 15, 20, 25)),
+    "double_bubble": (["--frames", "60"], (0, 8, 15, 30, 45, 60)),
+    "four_bubbles": ([], (0, 15, 40, 70, 90, 120)),
 }
 
 
