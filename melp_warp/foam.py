@@ -35,13 +35,13 @@ CONTACT_ROOM = 70
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.02, float(__import__("os").environ.get("CAP", "4"))
+BENT, CAP = 0.02, 4.6
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
 PATIENCE = 1.0
 """Time in which force along bent sheets is passed on, in that of a wave across a spacing."""
 
-MOST = 0.5
+MOST = 1.0
 """Most force that an E takes over from its neighbours, in sigma times the spacing."""
 
 LEASH = 0.8
@@ -148,8 +148,8 @@ class FoamMembrane:
         film = self.film
         volume = np.maximum(self.state.gas.numpy()[:, 0], 0.0)
         radius = np.maximum(np.cbrt(3.0 * volume / (4.0 * np.pi)), 1e-3 * film.spacing)
-        # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.062 r^2
-        self.bent.assign(np.maximum(BENT, CAP * 0.062 * (film.r / radius) ** 2).astype(np.float32))
+        # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.054 r^2
+        self.bent.assign(np.maximum(BENT, CAP * 0.054 * (film.r / radius) ** 2).astype(np.float32))
         if film.features.air:
             self.added.assign(film_added_mass(film.surroundings.air_density, radius).astype(np.float32))
         inertia = film.material.areal_mass + float(self.added.numpy().mean())
@@ -285,7 +285,7 @@ class FoamMembrane:
             [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
         )
         ee, vector = self.lists.ee.rows, geometry.vector
-        most = float(__import__("os").environ.get("MOST", "1")) * 0.5 * self.contact.cling * film.spacing
+        most = MOST * 0.5 * self.contact.cling * film.spacing
         film.launch_e(
             kl.seek_normals_e,
             [
