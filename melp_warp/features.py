@@ -68,5 +68,8 @@ class Features:
             "motion": self.moving,
             "boundary": self.rim,
             "foam": self.foam,
+            "contact": self.foam,
+            "lines": self.foam,
+            "exchange": self.foam,
         }
         return [name for name, wanted in needed.items() if wanted]

@@ -16,7 +16,10 @@ from melp_warp.air import film_added_mass
 from melp_warp.film import CONTACT_REACH, Film
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
+from melp_warp.kernels import contact as kc
+from melp_warp.kernels import exchange as kx
 from melp_warp.kernels import foam as kf
+from melp_warp.kernels import lines as kl
 from melp_warp.kernels import motion as ko
 from melp_warp.kernels.cells import CORNERS
 from melp_warp.launch import Shared
@@ -32,13 +35,13 @@ CONTACT_ROOM = 70
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.02, float(__import__("os").environ.get("CAP", "4"))
+BENT, CAP = 0.02, 4.6
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
 PATIENCE = 1.0
 """Time in which force along bent sheets is passed on, in that of a wave across a spacing."""
 
-MOST = 0.5
+MOST = 1.0
 """Most force that an E takes over from its neighbours, in sigma times the spacing."""
 
 LEASH = 0.8
@@ -48,10 +51,10 @@ EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
 
 
-def make_contact(film: Film) -> kf.Contact:
-    """The constants of `kernels.foam.Contact` for a film's spacing and tension; `lag` is set when the run starts."""
+def make_contact(film: Film) -> kc.Contact:
+    """The constants of `kernels.contact.Contact` for a film's spacing and tension; `lag` is set when the run starts."""
     n, dx, walls = film.numerics, film.spacing, film.walls
-    contact = kf.Contact()
+    contact = kc.Contact()
     for name, values in (("point", [w.point for w in walls]), ("inward", [w.normal for w in walls])):
         array = np.array(values, dtype=np.float32).reshape(-1, 3)
         setattr(contact, name, wp.array(array, dtype=wp.vec3, device=film.device))
@@ -81,7 +84,7 @@ class Exchange:
         chance = -math.expm1(-film.numerics.exchange * (self.state.time + dt - self._last))
         self._last = self.state.time + dt
         film.launch_l(
-            kf.exchange_l,
+            kx.exchange_l,
             [
                 *(lag.x, lag.v, self.lists.le.rows, self._number),
                 *map(Shared, (e.x, e.normal, self.lists.eo.rows)),
@@ -145,8 +148,8 @@ class FoamMembrane:
         film = self.film
         volume = np.maximum(self.state.gas.numpy()[:, 0], 0.0)
         radius = np.maximum(np.cbrt(3.0 * volume / (4.0 * np.pi)), 1e-3 * film.spacing)
-        # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.062 r^2
-        self.bent.assign(np.maximum(BENT, CAP * 0.062 * (film.r / radius) ** 2).astype(np.float32))
+        # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.054 r^2
+        self.bent.assign(np.maximum(BENT, CAP * 0.054 * (film.r / radius) ** 2).astype(np.float32))
         if film.features.air:
             self.added.assign(film_added_mass(film.surroundings.air_density, radius).astype(np.float32))
         inertia = film.material.areal_mass + float(self.added.numpy().mean())
@@ -166,7 +169,7 @@ class FoamMembrane:
         """What is covered by other regions and walls with E at x."""
         film, e = self.film, self.state.e
         film.launch_e(
-            kf.find_cover_e,
+            kc.find_cover_e,
             [x, e.normal, self.geometry.area, self.lists.eo.rows, self.lists.ee.rows, self.contact],
             [self.cover, self._faced],
         )
@@ -175,7 +178,7 @@ class FoamMembrane:
         """Other region nearest to each E, -1 for none within reach (reads back: between steps)."""
         film = self.film
         nearest = film.zeros(film.n_e, wp.int32)
-        film.launch_e(kf.find_nearest_e, [self.state.e.x, self.lists.eo.rows], [nearest])
+        film.launch_e(kx.find_nearest_e, [self.state.e.x, self.lists.eo.rows], [nearest])
         return self._regions_of(nearest)
 
     def find_partners(self, kind: str) -> np.ndarray:
@@ -183,10 +186,10 @@ class FoamMembrane:
         film, e, lists, reach = self.film, self.state.e, self.lists, PARTNER_REACH * self.film.spacing
         partner = film.zeros(film.n_e if kind == "e" else film.n_l, wp.int32)
         if kind == "e":
-            film.launch_e(kf.find_partner_e, [e.x, e.normal, lists.eo.rows, reach], [partner])
+            film.launch_e(kx.find_partner_e, [e.x, e.normal, lists.eo.rows, reach], [partner])
         else:
             across = [*map(Shared, (e.x, e.normal, lists.eo.rows)), reach]
-            film.launch_l(kf.find_partner_l, [self.state.l.x, lists.le.rows, *across], [partner])
+            film.launch_l(kx.find_partner_l, [self.state.l.x, lists.le.rows, *across], [partner])
         return self._regions_of(partner)
 
     def _regions_of(self, found: wp.array) -> np.ndarray:
@@ -253,10 +256,10 @@ class FoamMembrane:
         """Momentum that the foam gave itself in the solve, back to where it came from."""
         film, e = self.film, self.state.e
         arrays = [e.normal, self.geometry.area, self._faced, self._outer, self._mass, self.response.x, film.first]
-        film.launch_parts(kf.gained_chunks, arrays, [self._gained])
+        film.launch_parts(kl.gained_chunks, arrays, [self._gained])
         share, wall = self._patience(dt), [self._touch, self.contact]
-        film.launch_one(kf.pool_debt, [self._gained, *wall, share, film.regions], [self._debt])
-        film.launch_regions(kf.pay_debt_r, [self._gained, self._inertia, *wall, self._debt], [self._recoil])
+        film.launch_one(kl.pool_debt, [self._gained, *wall, share, film.regions], [self._debt])
+        film.launch_regions(kl.pay_debt_r, [self._gained, self._inertia, *wall, self._debt], [self._recoil])
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
@@ -264,7 +267,7 @@ class FoamMembrane:
 
     def _assemble(self, dt: float) -> None:
         film, e, geometry, operator = self.film, self.state.e, self.geometry, self.response.operator
-        film.launch_regions(kf.set_push_r, [self.state.gas, self.contact], [self.push])
+        film.launch_regions(kc.set_push_r, [self.state.gas, self.contact], [self.push])
         film.launch_e(
             kf.pull_foam_e,
             [
@@ -274,7 +277,7 @@ class FoamMembrane:
             [self.force, self._rest, operator.rows, operator.pair],
         )
         film.launch_e(
-            kf.press_foam_e,
+            kc.press_foam_e,
             [
                 *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push, self._faced),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
@@ -282,9 +285,9 @@ class FoamMembrane:
             [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
         )
         ee, vector = self.lists.ee.rows, geometry.vector
-        most = float(__import__("os").environ.get("MOST", "1")) * 0.5 * self.contact.cling * film.spacing
+        most = MOST * 0.5 * self.contact.cling * film.spacing
         film.launch_e(
-            kf.seek_normals_e,
+            kl.seek_normals_e,
             [
                 *(e.x, e.normal, vector, e.region, self.ahead, self._rest, self.cover, geometry.star, ee, film.r),
                 *(self.bent, self._patience(dt)),
@@ -292,16 +295,16 @@ class FoamMembrane:
             [self._sought],
         )
         film.launch_e(
-            kf.gather_load_e,
+            kl.gather_load_e,
             [e.x, e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought, ee, film.r, most],
             [self._load],
         )
         film.launch_parts(
-            kf.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum]
+            kl.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum]
         )
-        film.launch_parts(kf.touch_chunks, [e.x, self.contact, film.first], [self._touch])
+        film.launch_parts(kl.touch_chunks, [e.x, self.contact, film.first], [self._touch])
         arrays = [self._momentum, self._inertia, self._touch, self.contact]
-        film.launch_regions(kf.find_missing_r, arrays, [self._missing])
+        film.launch_regions(kl.find_missing_r, arrays, [self._missing])
         film.launch_e(
             kf.load_foam_e,
             [

@@ -519,7 +519,8 @@ MATRIX = (
     Case("particles", "a tenth of the L ten radii off", film(_BALL, *_STILL, touch=stray(0.1)), STOPPED),
     Case("foam", "two bubbles meeting at 2 m/s", foam(meeting(2.0), frames=3)),
     Case("foam", "two bubbles meeting at 20 m/s", foam(meeting(20.0), frames=2), STOPPED, slow=True),
-    Case("foam", "the same, in a vacuum", foam(meeting(20.0), air="none"), slow=True),
+    Case("foam", "the same, in a vacuum", foam(meeting(20.0), air="none"), STOPPED, slow=True),
+    Case("foam", "at 5 m/s, in a vacuum", foam(meeting(5.0), air="none", frames=3), slow=True),
     Case(
         "foam",
         "a bubble inside another",
