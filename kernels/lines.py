@@ -3,6 +3,7 @@
 import warp as wp
 
 from melp_warp.kernels.contact import MENISCUS, Contact
+from melp_warp.kernels.motion import whole_velocity
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_parts, region_total
 from melp_warp.kernels.sph import kernel_w, tangential
@@ -168,7 +169,7 @@ def find_missing_r(
     g = wp.tid()
     regions = missing.shape[0]
     force = along_walls(region_total(net, g, regions), g, regions, touch, contact)
-    missing[g] = wp.inverse(region_total(mass, g, regions)) * force
+    missing[g] = whole_velocity(region_total(mass, g, regions), force)
 
 
 @wp.kernel
@@ -296,4 +297,4 @@ def pay_debt_r(
     net = along_walls(wp.vec3(own[0], own[1], own[2]), g, regions, touch, contact)
     if own[3] > 0.0:
         net = own[3] / debt[1][3] * wp.vec3(debt[1][0], debt[1][1], debt[1][2])
-    recoil[g] = wp.inverse(region_total(mass, g, regions)) * net
+    recoil[g] = whole_velocity(region_total(mass, g, regions), net)

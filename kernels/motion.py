@@ -62,12 +62,19 @@ def momentum_chunks(
     net[c] = s1
 
 
+@wp.func
+def whole_velocity(inertia: wp.mat33, momentum: wp.vec3) -> wp.vec3:
+    """inertia^-1 momentum, by the inertia over its trace: the determinant of a small film's would not be a float32."""
+    scale = wp.trace(inertia)
+    return wp.inverse(inertia / scale) * (momentum / scale)
+
+
 @wp.kernel
 def solve_motion_r(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3)):
     """Velocity U of each region as a whole, (sum (m + added a) n n) U = sum (m + added a) u_n n. [regions], m/s."""
     g = wp.tid()
     regions = motion.shape[0]
-    motion[g] = wp.inverse(region_total(inertia, g, regions)) * region_total(net, g, regions)
+    motion[g] = whole_velocity(region_total(inertia, g, regions), region_total(net, g, regions))
 
 
 @wp.kernel
