@@ -260,6 +260,16 @@ def test_partition_curvature(ratio):
 
 
 @pytest.mark.slow
+def test_three_hundred_bubbles_become_a_foam():
+    """None is lost, most films are partitions, and the foam comes to rest."""
+    r = v.packed(300, frames=100)
+    assert r["measured"] == 300
+    assert r["covered"] > 0.8
+    assert r["speed"] < 0.2
+    assert r["volume_drift"] < 1e-3
+
+
+@pytest.mark.slow
 def test_gas_over_five_seconds():
     """Each region's volume within 0.1 %."""
     scene = v.foam_scene(*v.pair_of(R, R), 500, frames=1200, l_per_e=4, exchange=20.0)
