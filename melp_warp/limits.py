@@ -510,7 +510,6 @@ MATRIX = (
         "shape",
         "needle 5:1, in air",
         film(_needle, energy, e_count=3000, support=3.0, air="added_mass", dt=None, l_per_e=1, frames=3),
-        STOPPED,
         slow=True,
     ),
     Case("particles", "five E and five L on top of others", film(_BALL, *_STILL, touch=duplicated, frames=10)),
@@ -519,7 +518,7 @@ MATRIX = (
     Case("particles", "a tenth of the L ten radii off", film(_BALL, *_STILL, touch=stray(0.1)), STOPPED),
     Case("foam", "two bubbles meeting at 2 m/s", foam(meeting(2.0), frames=3)),
     Case("foam", "two bubbles meeting at 20 m/s", foam(meeting(20.0), frames=2), STOPPED, slow=True),
-    Case("foam", "the same, in a vacuum", foam(meeting(20.0), air="none"), STOPPED, slow=True),
+    Case("foam", "the same, in a vacuum", foam(meeting(20.0), air="none"), slow=True),
     Case("foam", "at 5 m/s, in a vacuum", foam(meeting(5.0), air="none", frames=3), slow=True),
     Case(
         "foam",
