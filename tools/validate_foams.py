@@ -79,7 +79,7 @@ class Page:
 
 def static(page: Page, full: bool) -> list[dict]:
     """The balancing angle of the exact double bubble."""
-    results = [v.balancing_angle(n) for n in ((1000, 3000, 10000, 20000) if full else (1000, 3000))]
+    results = [v.balancing_angle(n) for n in ((1000, 3000, 7500, 10000, 20000) if full else (1000, 3000))]
     for r in results:
         page.add(
             "static test, balancing angle",

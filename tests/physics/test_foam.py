@@ -247,7 +247,7 @@ def test_bad_checkpoint_of_a_foam(tmp_path):
 @pytest.mark.slow
 def test_double_bubble_at_10000_e():
     """Dihedral angles within 1 % of 120 degrees, area within 0.5 %."""
-    r = v.double_bubble(10000, frames=120)
+    r = v.double_bubble(10000, frames=160)
     assert r["error"] < 1.2
     assert abs(r["area_error"]) < 5e-3
 
