@@ -45,6 +45,12 @@ def near_share(gap: float, span: float) -> float:
 
 
 @wp.func
+def cut_tails(shared: float) -> float:
+    """Cover from the share that is near: 0 below `EDGE`, 1 from 1 - `EDGE` on."""
+    return wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
+
+
+@wp.func
 def meet_sheets(d: wp.vec3, n: wp.vec3, m: wp.vec3, reach: float):
     """How two E of different regions face each other.
 
@@ -124,7 +130,7 @@ def find_cover_e(
         j = facing.index[s]
         w, _along, gap = meet_sheets(x[j] - p, n, normal[j], contact.reach)
         shared += area[j] * w * near_share(gap, contact.range)
-    held = wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
+    held = cut_tails(shared)
     faced[i] = held
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
@@ -138,7 +144,7 @@ def find_cover_e(
                 height = wp.dot(inward, x[j]) - level
                 w, _along, gap = meet_image(x[j] - p, n, normal[j], height, inward, contact.reach)
                 shared += area[j] * w * near_share(gap, contact.range)
-            held += wp.clamp((shared - EDGE) / (1.0 - 2.0 * EDGE), 0.0, 1.0)
+            held += cut_tails(shared)
     cover[i] = wp.min(held, 1.0)
 
 
