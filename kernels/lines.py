@@ -10,6 +10,9 @@ from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
 
+ROUND = wp.constant(1.0e-3)
+"""Inertia of a foam about any axis, over its largest: two bubbles have none about the line through them."""
+
 
 @wp.kernel
 def seek_normals_e(
@@ -144,16 +147,33 @@ def touch_chunks(
 
 
 @wp.func
-def along_walls(v: wp.vec3, g: int, regions: int, touch: wp.array(dtype=wp.int32), contact: Contact) -> wp.vec3:
-    """The part of v along the walls that region g touches: across them the walls take up what there is."""
+def touched_walls(g: int, regions: int, touch: wp.array(dtype=wp.int32)) -> int:
+    """Walls that region g touches, a bit each, from the parts of `touch_chunks`."""
     start, stop = region_parts(g, touch.shape[0], regions)
     bits = int(0)
     for c in range(start, stop):
         bits = bits | touch[c]
+    return bits
+
+
+@wp.func
+def along_walls(v: wp.vec3, g: int, regions: int, touch: wp.array(dtype=wp.int32), contact: Contact) -> wp.vec3:
+    """The part of v along the walls that region g touches: across them the walls take up what there is."""
+    bits = touched_walls(g, regions, touch)
     for k in range(contact.point.shape[0]):
         if (bits >> k) & 1 == 1:
             v = tangential(v, contact.inward[k])
     return v
+
+
+@wp.func
+def about_walls(spin: wp.vec3, g: int, regions: int, touch: wp.array(dtype=wp.int32), contact: Contact) -> wp.vec3:
+    """The part of an angular momentum about the normals of the walls that region g touches: they take up the rest."""
+    bits = touched_walls(g, regions, touch)
+    for k in range(contact.point.shape[0]):
+        if (bits >> k) & 1 == 1:
+            spin = wp.dot(spin, contact.inward[k]) * contact.inward[k]
+    return spin
 
 
 @wp.kernel
@@ -208,6 +228,7 @@ def missing_chunks(
 
 @wp.kernel
 def gained_chunks(
+    x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     faced: wp.array(dtype=float),
@@ -217,10 +238,13 @@ def gained_chunks(
     first: wp.array(dtype=wp.int32),
     # outputs
     gained: wp.array(dtype=wp.vec4),
+    turned: wp.array(dtype=wp.vec3),
+    middle: wp.array(dtype=wp.vec4),
 ):
-    """Parts of the momentum that each region lost to the foam's own forces, kg m/s, and of its area that others cover.
+    """Parts of the momentum that each region lost to the foam's own forces, and of where it is.
 
     Args:
+        x: [n] m.
         normal: [n] unit normals.
         area: [n_e] m^2.
         faced: [n_e] share of each E that other regions cover.
@@ -228,65 +252,111 @@ def gained_chunks(
         inertia: [n_e] kg.
         change: [n_e] change of the normal speed, m/s.
         first: [regions + 1] first E of each region.
-        gained: parts.
+        gained: parts of the momentum, kg m/s, and of the area that others cover, m^2.
+        turned: parts of the angular momentum about the origin, kg m^2/s.
+        middle: parts of the integral of x over the area, m^3, and of the area.
     """
     c = wp.tid()
     start, stop = part_range(c, first, gained.shape[0])
     total = wp.vec3()
+    moment = wp.vec3()
+    place = wp.vec3()
     touched = float(0.0)
+    size = float(0.0)
     for i in range(start, stop):
-        total += (outer[i] - inertia[i] * change[i]) * normal[i]
+        lost = (outer[i] - inertia[i] * change[i]) * normal[i]
+        total += lost
+        moment += wp.cross(x[i], lost)
+        place += area[i] * x[i]
         touched += faced[i] * area[i]
+        size += area[i]
     gained[c] = wp.vec4(total[0], total[1], total[2], touched)
+    turned[c] = moment
+    middle[c] = wp.vec4(place[0], place[1], place[2], size)
+
+
+@wp.func
+def region_middle(middle: wp.array(dtype=wp.vec4), g: int, regions: int) -> wp.vec3:
+    """Centroid of region g's surface, m, from the parts of `gained_chunks`."""
+    own = region_total(middle, g, regions)
+    return wp.vec3(own[0], own[1], own[2]) / own[3]
+
+
+@wp.struct
+class Debt:
+    """What a foam owes itself; one entry each."""
+
+    momentum: wp.array(dtype=wp.vec3)  # owed, kg m/s
+    spin: wp.array(dtype=wp.vec3)  # owed about `middle`, kg m^2/s
+    push: wp.array(dtype=wp.vec3)  # paid now to each area that others cover, kg/(m s)
+    turn: wp.array(dtype=wp.vec3)  # the same that grows with the distance from `middle`: push + turn x distance
+    middle: wp.array(dtype=wp.vec3)  # of what touches, m
 
 
 @wp.kernel
 def pool_debt(
     gained: wp.array(dtype=wp.vec4),
+    turned: wp.array(dtype=wp.vec3),
+    middle: wp.array(dtype=wp.vec4),
     touch: wp.array(dtype=wp.int32),
     contact: Contact,
     share: float,
     regions: int,
     # outputs
-    debt: wp.array(dtype=wp.vec4),
+    debt: Debt,
 ):
-    """Momentum owed to all bubbles that touch others, kg m/s, and what of it is paid in this step.
+    """Momentum and angular momentum owed to all bubbles that touch others, and what of it is paid in this step.
 
     Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
-    matrix, know normals alone, so that contact kicks a foam as a whole.
+    matrix, know normals alone, so that contact kicks and turns a foam as a whole.
 
     Args:
-        gained: from `gained_chunks`.
+        gained, turned, middle: from `gained_chunks`.
         touch: from `touch_chunks`.
         contact: constants.
         share: how much of the debt is paid in a step.
         regions: number of regions.
-        debt: what is owed; what is paid now, with the area that others cover.
+        debt: in and out.
     """
-    total = wp.vec4()
-    owed = wp.vec3(debt[0][0], debt[0][1], debt[0][2])
+    momentum = wp.vec3()
+    spin = wp.vec3()
+    centre = wp.vec3()
+    covered = float(0.0)
     for g in range(regions):
         own = region_total(gained, g, regions)
         if own[3] > 0.0:
-            total += own
-    owed += wp.vec3(total[0], total[1], total[2])
+            momentum += wp.vec3(own[0], own[1], own[2])
+            spin += region_total(turned, g, regions)
+            centre += own[3] * region_middle(middle, g, regions)
+            covered += own[3]
+    if covered == 0.0:
+        return
+    centre = centre / covered
+    inertia = wp.mat33()
+    owed = debt.momentum[0] + momentum
+    around = debt.spin[0] + spin - wp.cross(centre, momentum)
     for g in range(regions):
         own = region_total(gained, g, regions)
         if own[3] > 0.0:
+            d = region_middle(middle, g, regions) - centre
+            inertia += own[3] * (wp.dot(d, d) * wp.identity(3, float) - wp.outer(d, d))
             owed = along_walls(owed, g, regions, touch, contact)
-    paid = share * owed
-    owed -= paid
-    debt[0] = wp.vec4(owed[0], owed[1], owed[2], 0.0)
-    debt[1] = wp.vec4(paid[0], paid[1], paid[2], total[3])
+            around = about_walls(around, g, regions, touch, contact)
+    debt.momentum[0] = (1.0 - share) * owed
+    debt.spin[0] = (1.0 - share) * around
+    debt.push[0] = share / covered * owed
+    debt.turn[0] = share * wp.inverse(inertia + ROUND * wp.trace(inertia) * wp.identity(3, float)) * around
+    debt.middle[0] = centre
 
 
 @wp.kernel
 def pay_debt_r(
     gained: wp.array(dtype=wp.vec4),
+    middle: wp.array(dtype=wp.vec4),
     mass: wp.array(dtype=wp.mat33),
     touch: wp.array(dtype=wp.int32),
     contact: Contact,
-    debt: wp.array(dtype=wp.vec4),
+    debt: Debt,
     # outputs
     recoil: wp.array(dtype=wp.vec3),
 ):
@@ -296,5 +366,6 @@ def pay_debt_r(
     own = region_total(gained, g, regions)
     net = along_walls(wp.vec3(own[0], own[1], own[2]), g, regions, touch, contact)
     if own[3] > 0.0:
-        net = own[3] / debt[1][3] * wp.vec3(debt[1][0], debt[1][1], debt[1][2])
+        d = region_middle(middle, g, regions) - debt.middle[0]
+        net = own[3] * (debt.push[0] + wp.cross(debt.turn[0], d))
     recoil[g] = whole_velocity(region_total(mass, g, regions), net)

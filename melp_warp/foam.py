@@ -125,7 +125,9 @@ class FoamMembrane:
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
         self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
-        self._debt = film.zeros(2, wp.vec4)
+        self._debt = kl.Debt()
+        for name in ("momentum", "spin", "push", "turn", "middle"):
+            setattr(self._debt, name, film.zeros(1, wp.vec3))
         self._stride = CORNERS + int(CONTACT_ROOM * film.room)
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -139,7 +141,8 @@ class FoamMembrane:
         )
         self.wanted = film.zeros(n, wp.int32)
         self._inertia, self._solid = film.parts(wp.mat33), film.parts(wp.mat33)
-        self._momentum, self._gained, self._touch = film.parts(wp.vec3), film.parts(wp.vec4), film.parts(wp.int32)
+        self._momentum, self._turned, self._touch = film.parts(wp.vec3), film.parts(wp.vec3), film.parts(wp.int32)
+        self._gained, self._middle = film.parts(wp.vec4), film.parts(wp.vec4)
         self._swept = film.parts(wp.float64)
         self._fresh = True
 
@@ -253,13 +256,15 @@ class FoamMembrane:
         film.launch_e(kf.kick_foam_e, [e.normal, e.region, self._fall, dt], [e.u])
 
     def _pay_debt(self, dt: float) -> None:
-        """Momentum that the foam gave itself in the solve, back to where it came from."""
+        """Momentum and angular momentum that the foam gave itself in the solve, back to where they came from."""
         film, e = self.film, self.state.e
-        arrays = [e.normal, self.geometry.area, self._faced, self._outer, self._mass, self.response.x, film.first]
-        film.launch_parts(kl.gained_chunks, arrays, [self._gained])
-        share, wall = self._patience(dt), [self._touch, self.contact]
-        film.launch_one(kl.pool_debt, [self._gained, *wall, share, film.regions], [self._debt])
-        film.launch_regions(kl.pay_debt_r, [self._gained, self._inertia, *wall, self._debt], [self._recoil])
+        arrays = [e.x, e.normal, self.geometry.area, self._faced, self._outer, self._mass, self.response.x, film.first]
+        parts, wall = [self._gained, self._turned, self._middle], [self._touch, self.contact]
+        film.launch_parts(kl.gained_chunks, arrays, parts)
+        film.launch_one(kl.pool_debt, [*parts, *wall, self._patience(dt), film.regions], [self._debt])
+        film.launch_regions(
+            kl.pay_debt_r, [self._gained, self._middle, self._inertia, *wall, self._debt], [self._recoil]
+        )
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
