@@ -9,6 +9,12 @@ from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
 
+CLOSE = wp.constant(0.8)
+"""Distance below which two E push each other apart, spacings."""
+
+APART = wp.constant(0.2)
+"""Share of what they lack that each goes in a step."""
+
 
 @wp.kernel
 def spread_chunks(density: wp.array(dtype=float), first: wp.array(dtype=wp.int32), part: wp.array(dtype=wp.vec4)):
@@ -74,6 +80,7 @@ def shift_e(
     rows: Neighbors,
     gradient: wp.array(dtype=wp.vec3),
     strength: float,
+    spacing: float,
     limit: float,
     dt: float,
     # outputs
@@ -104,6 +111,12 @@ def shift_e(
     i = rows.first + wp.tid()
     n = normal[i]
     shift = -strength * tangential(gradient_at(i, pressure, rows, gradient), n)
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        d = x[i] - x[j]
+        far = wp.length(d)
+        if far < CLOSE * spacing and far > 0.0 and wp.dot(n, normal[j]) > 0.0:
+            shift += strength * APART * (CLOSE * spacing / far - 1.0) * tangential(d, n)
     size = wp.length(shift)
     most = limit * wp.clamp(spread[region[i]][0], 1.0, 4.0)
     if size > most:

@@ -86,6 +86,7 @@ class Redistribution:
                 rows,
                 geometry.gradient,
                 film.numerics.redistribution,
+                film.spacing,
                 SHIFT_LIMIT * film.spacing,
                 dt,
             ],
