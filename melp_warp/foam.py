@@ -41,7 +41,7 @@ BENT, CAP = 0.02, 4.6
 PATIENCE = 1.0
 """Time in which force along bent sheets is passed on, in that of a wave across a spacing."""
 
-MOST = 1.0
+MOST = 4.0
 """Most force that an E takes over from its neighbours, in sigma times the spacing."""
 
 LEASH = 0.8
