@@ -109,6 +109,7 @@ def find_cover_e(
     # outputs
     cover: wp.array(dtype=float),
     faced: wp.array(dtype=float),
+    walled: wp.array(dtype=float),
 ):
     """How much of each E's sheet is one film with another region's: 1 in a partition and on a wall, 0 outside.
 
@@ -121,6 +122,7 @@ def find_cover_e(
         contact: constants.
         cover: [n_e] 0 to 1.
         faced: [n_e] the same by other regions alone.
+        walled: [n_e] the same by walls alone.
     """
     i = facing.first + wp.tid()
     p = x[i]
@@ -131,6 +133,7 @@ def find_cover_e(
         w, _along, gap = meet_sheets(x[j] - p, n, normal[j], contact.reach)
         shared += area[j] * w * near_share(gap, contact.range)
     held = cut_tails(shared)
+    bare = float(1.0)
     faced[i] = held
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
@@ -144,8 +147,9 @@ def find_cover_e(
                 height = wp.dot(inward, x[j]) - level
                 w, _along, gap = meet_image(x[j] - p, n, normal[j], height, inward, contact.reach)
                 shared += area[j] * w * near_share(gap, contact.range)
-            held += cut_tails(shared)
-    cover[i] = wp.min(held, 1.0)
+            bare *= 1.0 - cut_tails(shared)
+    walled[i] = 1.0 - bare
+    cover[i] = 1.0 - bare * (1.0 - held)
 
 
 @wp.func
@@ -215,7 +219,7 @@ def press_wall(
     level = wp.dot(inward, contact.point[wall])
     n = normal[i]
     half = contact
-    half.cling = 0.5 * contact.cling
+    half.cling = 0.5 * contact.cling * (1.0 - faced)
     total = wp.vec3()
     quiet = wp.vec3()
     stiff = float(0.0)
@@ -252,6 +256,7 @@ def press_foam_e(
     added: wp.array(dtype=float),
     push: wp.array(dtype=float),
     faced: wp.array(dtype=float),
+    walled: wp.array(dtype=float),
     facing: Neighbors,
     own: Neighbors,
     contact: Contact,
@@ -280,7 +285,8 @@ def press_foam_e(
         region: [n] region of each E.
         added: [regions] mass of the air that moves along, kg/m^2.
         push: [regions] pressure at gap 0, Pa.
-        faced: [n_e] share of each E that other regions cover: there is no meniscus there.
+        faced: [n_e] share of each E that other regions cover: there it neither clings to walls nor has a meniscus.
+        walled: [n_e] share of each E that walls cover: there it does not cling to other regions.
         facing: E of other regions near each E.
         own: E of the same region.
         contact: constants.
@@ -305,6 +311,7 @@ def press_foam_e(
     drawn = wp.vec3()
     stiff = float(0.0)
     inertia = mass[i] / area[i] + added[region[i]]
+    free = contact
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
         m = normal[j]
@@ -312,7 +319,8 @@ def press_foam_e(
         if w > 0.0 and gap < contact.range:
             strength = 0.5 * (push[region[i]] + push[region[j]])
             both = 0.5 * (inertia + added[region[j]] + mass[j] / area[j])
-            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, contact, dt)
+            free.cling = contact.cling * (1.0 - 0.5 * (walled[i] + walled[j]))
+            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, free, dt)
             a = area[i] * area[j] * w
             total -= (a * pressure) * along
             quiet -= (a * elastic) * along
