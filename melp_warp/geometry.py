@@ -50,8 +50,9 @@ class Geometry:
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
-        self.star, self._found, self.tie, self.vector = Neighbors(), None, None, None
+        self.star, self._found, self.tie, self.vector, self._before = Neighbors(), None, None, None, None
         if film.features.foam:
+            self._before = film.zeros(state.e.normal.shape[0], wp.vec3)
             self.star = fixed_rows(film.n_e, kc.CORNERS, film.device)
             self._found, self.tie = (film.zeros(film.n_e * kc.CORNERS) for _ in range(2))
             self.vector = film.zeros(film.n_e, wp.vec3)
@@ -59,7 +60,9 @@ class Geometry:
     def update(self) -> None:
         """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
         film, e, rows = self.film, self.state.e, self.lists.ee.rows
-        film.launch_e(kg.orient_frames_e, [e.x, rows, film.r], [e.normal])
+        if self._before:
+            wp.copy(self._before, e.normal)
+        film.launch_e(kg.orient_frames_e, [e.x, self._before, rows, film.r], [e.normal])
         film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.surface, self.kappa, self.gradient])
         if film.features.closed:
             film.launch_e(kg.sharpen_normal_e, [self.kappa, rows, self.gradient, film.n_e, film.r], [e.normal])
