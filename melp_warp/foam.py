@@ -170,7 +170,7 @@ class FoamMembrane:
         film, e = self.film, self.state.e
         film.launch_e(
             kc.find_cover_e,
-            [x, e.normal, self.geometry.area, self.lists.eo.rows, self.lists.ee.rows, self.contact],
+            [x, e.normal, self.geometry.share, self.lists.eo.rows, self.lists.ee.rows, self.contact],
             [self.cover, self._faced, self._walled],
         )
 
@@ -279,7 +279,7 @@ class FoamMembrane:
         film.launch_e(
             kc.press_foam_e,
             [
-                *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push),
+                *(e.x, self.predicted, e.normal, geometry.share, e.mass, e.region, self.added, self.push),
                 *(self._faced, self._walled),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],

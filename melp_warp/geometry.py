@@ -38,6 +38,8 @@ class Geometry:
         tie: [CORNERS n_e] in foams, w_ij of the star's pairs, symmetric: sum_j w_ij (x_j - x_i) is minus the area's
             gradient.
         vector: [n_e] in foams, gradient of the volume of the polyhedron of stars, m^2.
+        share: [n_e] in foams, each E's share of that polyhedron's area, m^2: with it sheets press and cling. Unlike a
+            cell, whose plane and fit say little in a corner, it is never more than the E around are apart.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists):
@@ -50,12 +52,12 @@ class Geometry:
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
-        self.star, self._found, self.tie, self.vector, self._before = Neighbors(), None, None, None, None
+        self.star, self._found, self.tie, self.vector, self.share, self._before = Neighbors(), *5 * (None,)
         if film.features.foam:
             self._before = film.zeros(state.e.normal.shape[0], wp.vec3)
             self.star = fixed_rows(film.n_e, kc.CORNERS, film.device)
             self._found, self.tie = (film.zeros(film.n_e * kc.CORNERS) for _ in range(2))
-            self.vector = film.zeros(film.n_e, wp.vec3)
+            self.vector, self.share = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
 
     def update(self) -> None:
         """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
@@ -79,7 +81,7 @@ class Geometry:
         self.measure_volume()
         if film.features.foam:
             film.launch_e(kf.pair_star_e, [self.star, self._found], [self.tie])
-            film.launch_e(kf.star_vector_e, [e.x, self.star], [self.vector])
+            film.launch_e(kf.star_vector_e, [e.x, self.star], [self.vector, self.share])
 
     def set_area(self, area: wp.array) -> None:
         """Take control areas found otherwise, for a film whose E stay where they are."""
