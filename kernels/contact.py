@@ -20,6 +20,9 @@ EDGE = wp.constant(0.1)
 DEEPEST = wp.constant(0.4)
 """Overlap, in the reach of contact, beyond which two E are taken to have their backs to each other."""
 
+LAYER = wp.constant(0.05)
+"""Thickness of the liquid on a wetted wall, in the range of clinging: sheets rest on it, clear of where they are stopped."""
+
 MENISCUS = wp.constant(2.0)
 """Height of the meniscus on a wall, in the range of clinging."""
 
@@ -137,7 +140,7 @@ def find_cover_e(
     faced[i] = held
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
-        level = wp.dot(inward, contact.point[k])
+        level = wp.dot(inward, contact.point[k]) + LAYER * contact.range
         height = wp.dot(inward, p) - level
         if height < contact.reach:
             w, _along, gap = meet_image(wp.vec3(), n, n, height, inward, contact.reach)
@@ -201,9 +204,10 @@ def press_wall(
     predicted: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
+    vector: wp.array(dtype=wp.vec3),
     push: float,
     inertia: float,
-    faced: float,
+    faced: wp.array(dtype=float),
     own: Neighbors,
     wall: int,
     contact: Contact,
@@ -216,10 +220,10 @@ def press_wall(
     the wall is as wet as inside. In the matrix the image moves as the E does.
     """
     inward = contact.inward[wall]
-    level = wp.dot(inward, contact.point[wall])
+    level = wp.dot(inward, contact.point[wall]) + LAYER * contact.range
     n = normal[i]
     half = contact
-    half.cling = 0.5 * contact.cling * (1.0 - faced)
+    strength = push - (1.0 - 1.0 / MENISCUS) * contact.cling / contact.range
     total = wp.vec3()
     quiet = wp.vec3()
     stiff = float(0.0)
@@ -230,9 +234,10 @@ def press_wall(
         height = wp.dot(inward, predicted[j]) - level
         w, along, gap = meet_image(predicted[j] - predicted[i], n, normal[j], height, inward, contact.reach)
         if w > 0.0 and gap < contact.range:
+            half.cling = 0.5 * contact.cling * (1.0 - 0.5 * (faced[i] + faced[j]))
             image = x[j] - x[i] - 2.0 * (wp.dot(inward, x[j]) - level) * inward
             before = 0.5 * wp.dot(image, along)
-            elastic, pressure, slope = press(gap, before, push, inertia, half, dt)
+            elastic, pressure, slope = press(gap, before, strength, inertia, half, dt)
             a = area[i] * area[j] * w
             total -= (a * pressure) * along
             quiet -= (a * elastic) * along
@@ -240,7 +245,7 @@ def press_wall(
             stiff += dt * dt * a * slope * ci * ci
     depth = MENISCUS * contact.range
     height = wp.clamp(wp.dot(inward, predicted[i]) - level, 0.0, depth)
-    suck = (area[i] * (1.0 - faced) * contact.cling * (1.0 - height / depth) / depth) * n
+    suck = ((1.0 - faced[i]) * contact.cling * (1.0 - height / depth) / depth) * vector[i]
     side = tangential(suck, inward)
     return total + suck - side, quiet + suck, side, stiff
 
@@ -251,6 +256,7 @@ def press_foam_e(
     predicted: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
+    vector: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=float),
     region: wp.array(dtype=wp.int32),
     added: wp.array(dtype=float),
@@ -281,6 +287,7 @@ def press_foam_e(
         predicted: [n] m.
         normal: [n] unit normals.
         area: [n_e] m^2.
+        vector: [n_e] gradient of the volume, m^2.
         mass: [n_e] kg.
         region: [n] region of each E.
         added: [regions] mass of the air that moves along, kg/m^2.
@@ -335,7 +342,7 @@ def press_foam_e(
     for w in range(contact.point.shape[0]):
         if wp.dot(contact.inward[w], at - contact.point[w]) < contact.reach:
             wall, quiet_wall, side, stiff_wall = press_wall(
-                i, x, predicted, normal, area, push[region[i]], inertia, faced[i], own, w, contact, dt
+                i, x, predicted, normal, area, vector, push[region[i]], inertia, faced, own, w, contact, dt
             )
             total += wall
             quiet += quiet_wall
