@@ -144,14 +144,20 @@ def touch_chunks(
 
 
 @wp.func
-def along_walls(v: wp.vec3, g: int, regions: int, touch: wp.array(dtype=wp.int32), contact: Contact) -> wp.vec3:
-    """The part of v along the walls that region g touches: across them the walls take up what there is."""
+def walls_of(g: int, regions: int, touch: wp.array(dtype=wp.int32)) -> int:
+    """Walls that region g touches, a bit each."""
     start, stop = region_parts(g, touch.shape[0], regions)
     bits = int(0)
     for c in range(start, stop):
         bits = bits | touch[c]
+    return bits
+
+
+@wp.func
+def along_walls(v: wp.vec3, walls: int, contact: Contact) -> wp.vec3:
+    """The part of v along these walls: across them they take up what there is."""
     for k in range(contact.point.shape[0]):
-        if (bits >> k) & 1 == 1:
+        if (walls >> k) & 1 == 1:
             v = tangential(v, contact.inward[k])
     return v
 
@@ -168,7 +174,7 @@ def find_missing_r(
     """Acceleration of each region by the force that its loads leave out, along the walls it touches. [regions]."""
     g = wp.tid()
     regions = missing.shape[0]
-    force = along_walls(region_total(net, g, regions), g, regions, touch, contact)
+    force = along_walls(region_total(net, g, regions), walls_of(g, regions, touch), contact)
     missing[g] = whole_velocity(region_total(mass, g, regions), force)
 
 
@@ -241,60 +247,61 @@ def gained_chunks(
 
 
 @wp.kernel
-def pool_debt(
+def owe_r(
     gained: wp.array(dtype=wp.vec4),
-    touch: wp.array(dtype=wp.int32),
-    contact: Contact,
     share: float,
-    regions: int,
     # outputs
-    debt: wp.array(dtype=wp.vec4),
+    owed: wp.array(dtype=wp.vec4),
 ):
-    """Momentum owed to all bubbles that touch others, kg m/s, and what of it is paid in this step.
+    """Momentum owed to each region, kg m/s, with its area that others cover, m^2. [regions].
 
     Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
     matrix, know normals alone, so that contact kicks a foam as a whole.
 
     Args:
         gained: from `gained_chunks`.
-        touch: from `touch_chunks`.
-        contact: constants.
-        share: how much of the debt is paid in a step.
-        regions: number of regions.
-        debt: what is owed; what is paid now, with the area that others cover.
+        share: how much of what was owed has been paid in the last step, where others covered the region; elsewhere all.
+        owed: what is owed before a step's payment; in and out.
     """
-    total = wp.vec4()
-    owed = wp.vec3(debt[0][0], debt[0][1], debt[0][2])
-    for g in range(regions):
-        own = region_total(gained, g, regions)
-        if own[3] > 0.0:
-            total += own
-    owed += wp.vec3(total[0], total[1], total[2])
-    for g in range(regions):
-        own = region_total(gained, g, regions)
-        if own[3] > 0.0:
-            owed = along_walls(owed, g, regions, touch, contact)
-    paid = share * owed
-    owed -= paid
-    debt[0] = wp.vec4(owed[0], owed[1], owed[2], 0.0)
-    debt[1] = wp.vec4(paid[0], paid[1], paid[2], total[3])
+    g = wp.tid()
+    old = owed[g]
+    left = wp.where(old[3] > 0.0, 1.0 - share, 0.0)
+    own = region_total(gained, g, owed.shape[0])
+    owed[g] = wp.vec4(left * old[0] + own[0], left * old[1] + own[1], left * old[2] + own[2], own[3])
 
 
 @wp.kernel
 def pay_debt_r(
-    gained: wp.array(dtype=wp.vec4),
+    owed: wp.array(dtype=wp.vec4),
+    cluster: wp.array(dtype=wp.int32),
     mass: wp.array(dtype=wp.mat33),
     touch: wp.array(dtype=wp.int32),
     contact: Contact,
-    debt: wp.array(dtype=wp.vec4),
+    share: float,
     # outputs
     recoil: wp.array(dtype=wp.vec3),
 ):
-    """What each region gets of the debt, by its covered area; one that touches no other, all its own. [regions]."""
+    """What each region gets of what its cluster is owed, by its covered area; one that touches no other, all its own.
+
+    Args:
+        owed: [regions] from `owe_r`.
+        cluster: [regions] number of each region's cluster.
+        mass: parts of the inertia, kg.
+        touch: from `touch_chunks`.
+        contact: constants.
+        share: how much of the debt is paid in a step.
+        recoil: [regions] velocity given back, m/s.
+    """
     g = wp.tid()
     regions = recoil.shape[0]
-    own = region_total(gained, g, regions)
-    net = along_walls(wp.vec3(own[0], own[1], own[2]), g, regions, touch, contact)
-    if own[3] > 0.0:
-        net = own[3] / debt[1][3] * wp.vec3(debt[1][0], debt[1][1], debt[1][2])
+    total = owed[g]
+    part = float(1.0)
+    walls = walls_of(g, regions, touch)
+    if total[3] > 0.0:
+        for h in range(regions):
+            if h != g and cluster[h] == cluster[g] and owed[h][3] > 0.0:
+                total += owed[h]
+                walls = walls | walls_of(h, regions, touch)
+        part = share * owed[g][3] / total[3]
+    net = along_walls(part * wp.vec3(total[0], total[1], total[2]), walls, contact)
     recoil[g] = whole_velocity(region_total(mass, g, regions), net)

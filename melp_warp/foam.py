@@ -21,6 +21,7 @@ from melp_warp.kernels import exchange as kx
 from melp_warp.kernels import foam as kf
 from melp_warp.kernels import lines as kl
 from melp_warp.kernels import motion as ko
+from melp_warp.kernels import regions as kr
 from melp_warp.kernels.cells import CORNERS
 from melp_warp.launch import Shared
 from melp_warp.linear import GasConjugateGradient, LinearOperator
@@ -35,7 +36,7 @@ CONTACT_ROOM = 70
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.02, 4.6
+BENT, CAP = 0.02, 2.0
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
 PATIENCE = 1.0
@@ -46,6 +47,9 @@ MOST = 1.0
 
 LEASH = 0.8
 """Largest distance of an E from the mean of its neighbours, spacings."""
+
+JOINS = 4
+"""Pairs of sweeps in which clusters are found; each may double the number of bubbles in a row that they reach."""
 
 EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
@@ -125,7 +129,9 @@ class FoamMembrane:
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
         self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
-        self._debt = film.zeros(2, wp.vec4)
+        self._owed = film.zeros(film.regions, wp.vec4)
+        self._alone = wp.array(np.arange(film.regions, dtype=np.int32), device=film.device)
+        self._cluster, self._joined = (film.zeros(film.regions, wp.int32) for _ in range(2))
         self._stride = CORNERS + int(CONTACT_ROOM * film.room)
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -141,6 +147,7 @@ class FoamMembrane:
         self._inertia, self._solid = film.parts(wp.mat33), film.parts(wp.mat33)
         self._momentum, self._gained, self._touch = film.parts(wp.vec3), film.parts(wp.vec4), film.parts(wp.int32)
         self._swept = film.parts(wp.float64)
+        self._near = wp.zeros((self._touch.shape[0], film.regions), dtype=wp.int32, device=film.device)
         self._fresh = True
 
     def start_motion(self) -> None:
@@ -257,9 +264,21 @@ class FoamMembrane:
         film, e = self.film, self.state.e
         arrays = [e.normal, self.geometry.area, self._faced, self._outer, self._mass, self.response.x, film.first]
         film.launch_parts(kl.gained_chunks, arrays, [self._gained])
-        share, wall = self._patience(dt), [self._touch, self.contact]
-        film.launch_one(kl.pool_debt, [self._gained, *wall, share, film.regions], [self._debt])
-        film.launch_regions(kl.pay_debt_r, [self._gained, self._inertia, *wall, self._debt], [self._recoil])
+        share = self._patience(dt)
+        film.launch_regions(kl.owe_r, [self._gained, share], [self._owed])
+        self._find_clusters()
+        arrays = [self._owed, self._cluster, self._inertia, self._touch, self.contact, share]
+        film.launch_regions(kl.pay_debt_r, arrays, [self._recoil])
+
+    def _find_clusters(self) -> None:
+        """Number of each region's cluster: those that are near each other, and those near them, and so on."""
+        film = self.film
+        film.launch_parts(kr.near_chunks, [self.state.e.region, self.lists.eo.rows, film.first], [self._near])
+        before = self._alone
+        for _ in range(JOINS):
+            film.launch_regions(kr.join_clusters_r, [self._near, before], [self._joined])
+            film.launch_regions(kr.join_clusters_r, [self._near, self._joined], [self._cluster])
+            before = self._cluster
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
