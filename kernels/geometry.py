@@ -18,8 +18,12 @@ from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangent_basis
 
 wp.set_module_options({"enable_backward": False})
 
-PLANE, BALL = wp.constant(0.5), wp.constant(0.8)
+PLANE, BALL = wp.constant(0.45), wp.constant(0.65)
 """Least variance of a cloud of E over the middle one: below it has a plane (0.35 on a right angle), above it has none."""
+
+
+STEEPEST = wp.constant(0.2)
+"""Largest correction of a slope for the cubic part of the surface: beyond it, in corners, a cubic says nothing."""
 
 
 @wp.func
@@ -176,7 +180,11 @@ def sharpen_normal_e(
         if j < n_e:
             slope += (kappa[j] - kappa[i]) * gradient[k]
     h = r / 3.0
-    normal[i] = wp.normalize(normal[i] + 0.2254 * h * h * slope)
+    cubic = 0.2254 * h * h * slope
+    size = wp.length(cubic)
+    if size > STEEPEST:
+        cubic *= STEEPEST / size
+    normal[i] = wp.normalize(normal[i] + cubic)
 
 
 @wp.kernel

@@ -84,7 +84,7 @@ def test_cover_says_where_two_sheets_are_one_film(device):
         flat[:, 0], normal[:, 0] = -0.5 * side * gap * film.spacing, side
         s.state.e.x.assign(flat.astype(np.float32))
         s.state.e.normal.assign(normal.astype(np.float32))
-        s.geometry.area.fill_(film.spacing**2)
+        s.geometry.share.fill_(film.spacing**2)
         s.lists.rebuild()
         s.membrane.find_contacts(s.state.e.x)
         inside = np.all((flat[:, 1:] > 4 * film.spacing) & (flat[:, 1:] < (wide - 5) * film.spacing), axis=1)

@@ -266,7 +266,7 @@ def test_degenerate_clouds_keep_their_normal(cloud, device):
     points = wp.array(x.astype(np.float32), dtype=wp.vec3, device=device)
     normal = wp.array(old.astype(np.float32), dtype=wp.vec3, device=device)
     kappa = wp.zeros(12, dtype=float, device=device)
-    wp.launch(kg.orient_frames_e, 12, [points, rows, 1.0], [normal], device=device)
+    wp.launch(kg.orient_frames_e, 12, [points, None, rows, 1.0], [normal], device=device)
     n = normal.numpy()
     assert np.abs(np.linalg.norm(n, axis=1) - 1.0).max() < 1e-5
     assert np.all(n @ old[0] > 0.5)
