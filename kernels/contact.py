@@ -112,7 +112,7 @@ def find_cover_e(
     # outputs
     cover: wp.array(dtype=float),
     faced: wp.array(dtype=float),
-    walled: wp.array(dtype=float),
+    free: wp.array(dtype=float),
 ):
     """How much of each E's sheet is one film with another region's: 1 in a partition and on a wall, 0 outside.
 
@@ -125,7 +125,8 @@ def find_cover_e(
         contact: constants.
         cover: [n_e] 0 to 1.
         faced: [n_e] the same by other regions alone.
-        walled: [n_e] the same by walls alone.
+        free: [n_e] share of what holds it to other regions that counts: none where a wall covers it, and as much as would
+            cover it once where it faces several.
     """
     i = facing.first + wp.tid()
     p = x[i]
@@ -137,6 +138,7 @@ def find_cover_e(
         shared += area[j] * w * near_share(gap, contact.range)
     held = cut_tails(shared)
     bare = float(1.0)
+    all = shared
     faced[i] = held
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
@@ -151,7 +153,7 @@ def find_cover_e(
                 w, _along, gap = meet_image(x[j] - p, n, normal[j], height, inward, contact.reach)
                 shared += area[j] * w * near_share(gap, contact.range)
             bare *= 1.0 - cut_tails(shared)
-    walled[i] = 1.0 - bare
+    free[i] = bare / wp.max(all, 1.0)
     cover[i] = 1.0 - bare * (1.0 - held)
 
 
@@ -262,7 +264,7 @@ def press_foam_e(
     added: wp.array(dtype=float),
     push: wp.array(dtype=float),
     faced: wp.array(dtype=float),
-    walled: wp.array(dtype=float),
+    free: wp.array(dtype=float),
     facing: Neighbors,
     own: Neighbors,
     contact: Contact,
@@ -293,7 +295,7 @@ def press_foam_e(
         added: [regions] mass of the air that moves along, kg/m^2.
         push: [regions] pressure at gap 0, Pa.
         faced: [n_e] share of each E that other regions cover: there it neither clings to walls nor has a meniscus.
-        walled: [n_e] share of each E that walls cover: there it does not cling to other regions.
+        free: [n_e] share of what holds each E to other regions that counts.
         facing: E of other regions near each E.
         own: E of the same region.
         contact: constants.
@@ -318,7 +320,7 @@ def press_foam_e(
     drawn = wp.vec3()
     stiff = float(0.0)
     inertia = mass[i] / area[i] + added[region[i]]
-    free = contact
+    pair_contact = contact
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
         m = normal[j]
@@ -326,8 +328,8 @@ def press_foam_e(
         if w > 0.0 and gap < contact.range:
             strength = 0.5 * (push[region[i]] + push[region[j]])
             both = 0.5 * (inertia + added[region[j]] + mass[j] / area[j])
-            free.cling = contact.cling * (1.0 - 0.5 * (walled[i] + walled[j]))
-            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, free, dt)
+            pair_contact.cling = contact.cling * 0.5 * (free[i] + free[j])
+            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, pair_contact, dt)
             a = area[i] * area[j] * w
             total -= (a * pressure) * along
             quiet -= (a * elastic) * along

@@ -121,7 +121,7 @@ class FoamMembrane:
         self.fields, self.forces = fields, forces
         n = film.n_e
         self.contact = make_contact(film)
-        self.cover, self._faced, self._walled = film.zeros(n), film.zeros(n), film.zeros(n)
+        self.cover, self._faced, self._free = film.zeros(n), film.zeros(n), film.zeros(n)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start = self.frame = state.motion
@@ -178,7 +178,7 @@ class FoamMembrane:
         film.launch_e(
             kc.find_cover_e,
             [x, e.normal, self.geometry.share, self.lists.eo.rows, self.lists.ee.rows, self.contact],
-            [self.cover, self._faced, self._walled],
+            [self.cover, self._faced, self._free],
         )
 
     def nearest_regions(self) -> np.ndarray:
@@ -299,7 +299,7 @@ class FoamMembrane:
             kc.press_foam_e,
             [
                 *(e.x, self.predicted, e.normal, geometry.share, geometry.vector, e.mass, e.region, self.added, self.push),
-                *(self._faced, self._walled),
+                *(self._faced, self._free),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
             [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
