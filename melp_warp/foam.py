@@ -298,7 +298,17 @@ class FoamMembrane:
         film.launch_e(
             kc.press_foam_e,
             [
-                *(e.x, self.predicted, e.normal, geometry.share, geometry.vector, e.mass, e.region, self.added, self.push),
+                *(
+                    e.x,
+                    self.predicted,
+                    e.normal,
+                    geometry.share,
+                    geometry.vector,
+                    e.mass,
+                    e.region,
+                    self.added,
+                    self.push,
+                ),
                 *(self._faced, self._free),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
