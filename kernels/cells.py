@@ -111,9 +111,8 @@ def voronoi_cell_e(
     the ends of the edge: 0.888 z^2 is the mean over a hexagon's edge.
     With z = q.Q q/2 over the plane, area = |C| sqrt(1 + tr(Q Q M)/|C|), the root of the mean square of what slopes
     stretch it by: no more than neighbours are apart, however sharp a corner the E sits on. For p = x_i + offset, the
-    integral of p.n over the
-    cell is x_i.flux + bulge with flux = |C| n - Q m, bulge = -tr(Q M)/2, m and M the moments of C. Unlike 1/delta
-    of (9), whose sum is biased on uneven particles, the cells tile the surface to second order.
+    integral of p.n over the cell is x_i.flux + bulge with flux = |C| n - Q m, bulge = -tr(Q M)/2, m and M the moments
+    of C. Unlike 1/delta of (9), whose sum is biased on uneven particles, the cells tile the surface to second order.
 
     Args:
         x: [n] positions, m.

@@ -21,7 +21,10 @@ DEEPEST = wp.constant(0.4)
 """Overlap, in the reach of contact, beyond which two E are taken to have their backs to each other."""
 
 LAYER = wp.constant(0.05)
-"""Thickness of the liquid on a wetted wall, in the range of clinging: sheets rest on it, clear of where they are stopped."""
+"""Thickness of the liquid on a wetted wall, in the range of clinging.
+
+Sheets rest on it, clear of where they are stopped.
+"""
 
 MENISCUS = wp.constant(2.0)
 """Height of the meniscus on a wall, in the range of clinging."""
@@ -125,8 +128,8 @@ def find_cover_e(
         contact: constants.
         cover: [n_e] 0 to 1.
         faced: [n_e] the same by other regions alone.
-        free: [n_e] share of what holds it to other regions that counts: none where a wall covers it, and as much as would
-            cover it once where it faces several.
+        free: [n_e] share of what holds it to other regions that counts: none where a wall covers it, and as much as
+            would cover it once where it faces several.
     """
     i = facing.first + wp.tid()
     p = x[i]
@@ -138,7 +141,7 @@ def find_cover_e(
         shared += area[j] * w * near_share(gap, contact.range)
     held = cut_tails(shared)
     bare = float(1.0)
-    all = shared
+    over = wp.max(shared, 1.0)
     faced[i] = held
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
@@ -153,7 +156,7 @@ def find_cover_e(
                 w, _along, gap = meet_image(x[j] - p, n, normal[j], height, inward, contact.reach)
                 shared += area[j] * w * near_share(gap, contact.range)
             bare *= 1.0 - cut_tails(shared)
-    free[i] = bare / wp.max(all, 1.0)
+    free[i] = bare / over
     cover[i] = 1.0 - bare * (1.0 - held)
 
 
@@ -219,7 +222,9 @@ def press_wall(
 
     The film holds on to the image of its own region, which would make 120 degrees with the wall as with another
     bubble, and the meniscus around its foot sucks at it, by sigma a length in all, which makes 90: outside the bubble
-    the wall is as wet as inside. In the matrix the image moves as the E does.
+    the wall is as wet as inside. What another bubble covers does neither. Both pull a sheet that lies on the wall
+    towards it, and the wall's spring is such that they are in balance with the gas on its layer of liquid: there the
+    sheet has all of its cover, and the meniscus begins. In the matrix the image moves as the E does.
     """
     inward = contact.inward[wall]
     level = wp.dot(inward, contact.point[wall]) + LAYER * contact.range
@@ -259,7 +264,8 @@ def press_foam_e(
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     vector: wp.array(dtype=wp.vec3),
-    mass: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
+    density: float,
     region: wp.array(dtype=wp.int32),
     added: wp.array(dtype=float),
     push: wp.array(dtype=float),
@@ -290,7 +296,8 @@ def press_foam_e(
         normal: [n] unit normals.
         area: [n_e] m^2.
         vector: [n_e] gradient of the volume, m^2.
-        mass: [n_e] kg.
+        eta: [n_e] thickness, m.
+        density: kg/m^3.
         region: [n] region of each E.
         added: [regions] mass of the air that moves along, kg/m^2.
         push: [regions] pressure at gap 0, Pa.
@@ -319,17 +326,17 @@ def press_foam_e(
     quiet = wp.vec3()
     drawn = wp.vec3()
     stiff = float(0.0)
-    inertia = mass[i] / area[i] + added[region[i]]
-    pair_contact = contact
+    inertia = density * eta[i] + added[region[i]]
+    near = contact
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
         m = normal[j]
         w, along, gap = meet_sheets(predicted[j] - at, n, m, contact.reach)
         if w > 0.0 and gap < contact.range:
             strength = 0.5 * (push[region[i]] + push[region[j]])
-            both = 0.5 * (inertia + added[region[j]] + mass[j] / area[j])
-            pair_contact.cling = contact.cling * 0.5 * (free[i] + free[j])
-            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, pair_contact, dt)
+            both = 0.5 * (inertia + added[region[j]] + density * eta[j])
+            near.cling = 0.5 * (free[i] + free[j]) * contact.cling
+            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, near, dt)
             a = area[i] * area[j] * w
             total -= (a * pressure) * along
             quiet -= (a * elastic) * along

@@ -19,7 +19,8 @@ from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangent_basis
 wp.set_module_options({"enable_backward": False})
 
 PLANE, BALL = wp.constant(0.45), wp.constant(0.65)
-"""Least variance of a cloud of E over the middle one: below it has a plane (0.35 on a right angle), above it has none."""
+"""Least variance of a cloud of E over the middle one up to which it has a plane (0.35 on a right angle), and from which
+it has none."""
 
 
 STEEPEST = wp.constant(0.2)

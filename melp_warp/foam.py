@@ -298,18 +298,8 @@ class FoamMembrane:
         film.launch_e(
             kc.press_foam_e,
             [
-                *(
-                    e.x,
-                    self.predicted,
-                    e.normal,
-                    geometry.share,
-                    geometry.vector,
-                    e.mass,
-                    e.region,
-                    self.added,
-                    self.push,
-                ),
-                *(self._faced, self._free),
+                *(e.x, self.predicted, e.normal, geometry.share, geometry.vector),
+                *(self.fields.eta, film.material.density, e.region, self.added, self.push, self._faced, self._free),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
             [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
