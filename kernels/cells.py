@@ -106,12 +106,13 @@ def voronoi_cell_e(
 ):
     """Voronoi cell of each E on its fitted surface: area and what the volume (11) needs.
 
-    The cell is cut in the tangent plane. The bisector of a neighbour at (u, v, z) lies at half (u^2 + v^2 + z^2/2) next
-    to the neighbour and, as the surface falls away, further in towards the ends of the edge: 0.444 z^2 is the mean over
-    a hexagon's edge.
-    With z = q.Q q/2 over the plane, area = |C| + tr(Q Q M)/2 and, for p = x_i + offset, the integral of p.n over the
-    cell is x_i.flux + bulge with flux = |C| n - Q m, bulge = -tr(Q M)/2, m and M the moments of C. Unlike 1/delta
-    of (9), whose sum is biased on uneven particles, the cells tile the surface to second order.
+    The cell is cut in the tangent plane. The bisector of a neighbour at (u, v, z) lies at half its distance in space,
+    sqrt(u^2 + v^2 + z^2), next to the neighbour (exact on a circle) and, as the surface falls away, further in towards
+    the ends of the edge: 0.888 z^2 is the mean over a hexagon's edge.
+    With z = q.Q q/2 over the plane, area = |C| sqrt(1 + tr(Q Q M)/|C|), the root of the mean square of what slopes
+    stretch it by: no more than neighbours are apart, however sharp a corner the E sits on. For p = x_i + offset, the
+    integral of p.n over the cell is x_i.flux + bulge with flux = |C| n - Q m, bulge = -tr(Q M)/2, m and M the moments
+    of C. Unlike 1/delta of (9), whose sum is biased on uneven particles, the cells tile the surface to second order.
 
     Args:
         x: [n] positions, m.
@@ -142,7 +143,8 @@ def voronoi_cell_e(
                 u = wp.dot(d, e1)
                 v = wp.dot(d, e2)
                 z = wp.dot(d, n)
-                half = 0.5 * (u * u + v * v + 0.444 * z * z)
+                plane = u * u + v * v
+                half = 0.5 * wp.sqrt(plane * (plane + 0.888 * z * z))
                 cell, count = clip_cell(cell, count, u, v, half, float(k - rows.start[i]))
                 reach = float(0.0)
                 for m in range(count):
@@ -173,7 +175,7 @@ def voronoi_cell_e(
     q12 = wp.dot(e1, s2)
     q22 = wp.dot(e2, s2)
     stretch = (q11 * q11 + q12 * q12) * uu + 2.0 * q12 * (q11 + q22) * uv + (q12 * q12 + q22 * q22) * vv
-    area[i] = flat + 0.5 * stretch
+    area[i] = wp.sqrt(flat * (flat + stretch))
     flux[i] = flat * n - (q11 * first[0] + q12 * first[1]) * e1 - (q12 * first[0] + q22 * first[1]) * e2
     bulge[i] = -0.5 * (q11 * uu + 2.0 * q12 * uv + q22 * vv)
     if weight:

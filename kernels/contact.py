@@ -20,6 +20,12 @@ EDGE = wp.constant(0.1)
 DEEPEST = wp.constant(0.4)
 """Overlap, in the reach of contact, beyond which two E are taken to have their backs to each other."""
 
+LAYER = wp.constant(0.05)
+"""Thickness of the liquid on a wetted wall, in the range of clinging.
+
+Sheets rest on it, clear of where they are stopped.
+"""
+
 MENISCUS = wp.constant(2.0)
 """Height of the meniscus on a wall, in the range of clinging."""
 
@@ -109,6 +115,7 @@ def find_cover_e(
     # outputs
     cover: wp.array(dtype=float),
     faced: wp.array(dtype=float),
+    free: wp.array(dtype=float),
 ):
     """How much of each E's sheet is one film with another region's: 1 in a partition and on a wall, 0 outside.
 
@@ -121,6 +128,8 @@ def find_cover_e(
         contact: constants.
         cover: [n_e] 0 to 1.
         faced: [n_e] the same by other regions alone.
+        free: [n_e] share of what holds it to other regions that counts: none where a wall covers it, and as much as
+            would cover it once where it faces several.
     """
     i = facing.first + wp.tid()
     p = x[i]
@@ -131,10 +140,12 @@ def find_cover_e(
         w, _along, gap = meet_sheets(x[j] - p, n, normal[j], contact.reach)
         shared += area[j] * w * near_share(gap, contact.range)
     held = cut_tails(shared)
+    bare = float(1.0)
+    over = wp.max(shared, 1.0)
     faced[i] = held
     for k in range(contact.point.shape[0]):
         inward = contact.inward[k]
-        level = wp.dot(inward, contact.point[k])
+        level = wp.dot(inward, contact.point[k]) + LAYER * contact.range
         height = wp.dot(inward, p) - level
         if height < contact.reach:
             w, _along, gap = meet_image(wp.vec3(), n, n, height, inward, contact.reach)
@@ -144,8 +155,9 @@ def find_cover_e(
                 height = wp.dot(inward, x[j]) - level
                 w, _along, gap = meet_image(x[j] - p, n, normal[j], height, inward, contact.reach)
                 shared += area[j] * w * near_share(gap, contact.range)
-            held += cut_tails(shared)
-    cover[i] = wp.min(held, 1.0)
+            bare *= 1.0 - cut_tails(shared)
+    free[i] = bare / over
+    cover[i] = 1.0 - bare * (1.0 - held)
 
 
 @wp.func
@@ -197,9 +209,10 @@ def press_wall(
     predicted: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
+    vector: wp.array(dtype=wp.vec3),
     push: float,
     inertia: float,
-    faced: float,
+    faced: wp.array(dtype=float),
     own: Neighbors,
     wall: int,
     contact: Contact,
@@ -209,13 +222,15 @@ def press_wall(
 
     The film holds on to the image of its own region, which would make 120 degrees with the wall as with another
     bubble, and the meniscus around its foot sucks at it, by sigma a length in all, which makes 90: outside the bubble
-    the wall is as wet as inside. In the matrix the image moves as the E does.
+    the wall is as wet as inside. What another bubble covers does neither. Both pull a sheet that lies on the wall
+    towards it, and the wall's spring is such that they are in balance with the gas on its layer of liquid: there the
+    sheet has all of its cover, and the meniscus begins. In the matrix the image moves as the E does.
     """
     inward = contact.inward[wall]
-    level = wp.dot(inward, contact.point[wall])
+    level = wp.dot(inward, contact.point[wall]) + LAYER * contact.range
     n = normal[i]
     half = contact
-    half.cling = 0.5 * contact.cling
+    strength = push - (1.0 - 1.0 / MENISCUS) * contact.cling / contact.range
     total = wp.vec3()
     quiet = wp.vec3()
     stiff = float(0.0)
@@ -226,9 +241,10 @@ def press_wall(
         height = wp.dot(inward, predicted[j]) - level
         w, along, gap = meet_image(predicted[j] - predicted[i], n, normal[j], height, inward, contact.reach)
         if w > 0.0 and gap < contact.range:
+            half.cling = 0.5 * contact.cling * (1.0 - 0.5 * (faced[i] + faced[j]))
             image = x[j] - x[i] - 2.0 * (wp.dot(inward, x[j]) - level) * inward
             before = 0.5 * wp.dot(image, along)
-            elastic, pressure, slope = press(gap, before, push, inertia, half, dt)
+            elastic, pressure, slope = press(gap, before, strength, inertia, half, dt)
             a = area[i] * area[j] * w
             total -= (a * pressure) * along
             quiet -= (a * elastic) * along
@@ -236,7 +252,7 @@ def press_wall(
             stiff += dt * dt * a * slope * ci * ci
     depth = MENISCUS * contact.range
     height = wp.clamp(wp.dot(inward, predicted[i]) - level, 0.0, depth)
-    suck = (area[i] * (1.0 - faced) * contact.cling * (1.0 - height / depth) / depth) * n
+    suck = ((1.0 - faced[i]) * contact.cling * (1.0 - height / depth) / depth) * vector[i]
     side = tangential(suck, inward)
     return total + suck - side, quiet + suck, side, stiff
 
@@ -247,11 +263,14 @@ def press_foam_e(
     predicted: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
-    mass: wp.array(dtype=float),
+    vector: wp.array(dtype=wp.vec3),
+    eta: wp.array(dtype=float),
+    density: float,
     region: wp.array(dtype=wp.int32),
     added: wp.array(dtype=float),
     push: wp.array(dtype=float),
     faced: wp.array(dtype=float),
+    free: wp.array(dtype=float),
     facing: Neighbors,
     own: Neighbors,
     contact: Contact,
@@ -276,11 +295,14 @@ def press_foam_e(
         predicted: [n] m.
         normal: [n] unit normals.
         area: [n_e] m^2.
-        mass: [n_e] kg.
+        vector: [n_e] gradient of the volume, m^2.
+        eta: [n_e] thickness, m.
+        density: kg/m^3.
         region: [n] region of each E.
         added: [regions] mass of the air that moves along, kg/m^2.
         push: [regions] pressure at gap 0, Pa.
-        faced: [n_e] share of each E that other regions cover: there is no meniscus there.
+        faced: [n_e] share of each E that other regions cover: there it neither clings to walls nor has a meniscus.
+        free: [n_e] share of what holds each E to other regions that counts.
         facing: E of other regions near each E.
         own: E of the same region.
         contact: constants.
@@ -304,15 +326,17 @@ def press_foam_e(
     quiet = wp.vec3()
     drawn = wp.vec3()
     stiff = float(0.0)
-    inertia = mass[i] / area[i] + added[region[i]]
+    inertia = density * eta[i] + added[region[i]]
+    near = contact
     for s in range(facing.start[i], facing.stop[i]):
         j = facing.index[s]
         m = normal[j]
         w, along, gap = meet_sheets(predicted[j] - at, n, m, contact.reach)
         if w > 0.0 and gap < contact.range:
             strength = 0.5 * (push[region[i]] + push[region[j]])
-            both = 0.5 * (inertia + added[region[j]] + mass[j] / area[j])
-            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, contact, dt)
+            both = 0.5 * (inertia + added[region[j]] + density * eta[j])
+            near.cling = 0.5 * (free[i] + free[j]) * contact.cling
+            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, near, dt)
             a = area[i] * area[j] * w
             total -= (a * pressure) * along
             quiet -= (a * elastic) * along
@@ -327,7 +351,7 @@ def press_foam_e(
     for w in range(contact.point.shape[0]):
         if wp.dot(contact.inward[w], at - contact.point[w]) < contact.reach:
             wall, quiet_wall, side, stiff_wall = press_wall(
-                i, x, predicted, normal, area, push[region[i]], inertia, faced[i], own, w, contact, dt
+                i, x, predicted, normal, area, vector, push[region[i]], inertia, faced, own, w, contact, dt
             )
             total += wall
             quiet += quiet_wall

@@ -35,19 +35,24 @@ def star_vector_e(
     star: Neighbors,
     # outputs
     vector: wp.array(dtype=wp.vec3),
+    share: wp.array(dtype=float),
 ):
-    """Gradient of the polyhedral volume, sum d_j x d_j+1 / 6 over the star: a third of its area, with normal. m^2."""
+    """Gradient of the polyhedral volume, sum d_j x d_j+1 / 6 over the star, and a third of the star's area. m^2."""
     i = star.first + wp.tid()
     p = x[i]
     total = wp.vec3()
+    size = float(0.0)
     first = star.start[i]
     last = star.stop[i]
     for k in range(first, last):
         m = k + 1
         if m == last:
             m = first
-        total += wp.cross(x[star.index[k]] - p, x[star.index[m]] - p)
+        twice = wp.cross(x[star.index[k]] - p, x[star.index[m]] - p)
+        total += twice
+        size += wp.length(twice)
     vector[i] = total / 6.0
+    share[i] = size / 6.0
 
 
 @wp.kernel

@@ -18,10 +18,29 @@ from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangent_basis
 
 wp.set_module_options({"enable_backward": False})
 
+PLANE, BALL = wp.constant(0.45), wp.constant(0.65)
+"""Least variance of a cloud of E over the middle one up to which it has a plane (0.35 on a right angle), and from which
+it has none."""
+
+
+STEEPEST = wp.constant(0.2)
+"""Largest correction of a slope for the cubic part of the surface: beyond it, in corners, a cubic says nothing."""
+
+
+@wp.func
+def mean_normal(i: int, x: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), rows: Neighbors, r: float):
+    """Mean of the normals around E i, of unit length."""
+    total = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        total += kernel_w(wp.length(x[j] - x[i]), r) * normal[j]
+    return wp.normalize(total)
+
 
 @wp.kernel
 def orient_frames_e(
     x: wp.array(dtype=wp.vec3),
+    before: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     r: float,
     # outputs
@@ -29,8 +48,11 @@ def orient_frames_e(
 ):
     """PCA normal of each E, turned to the side of the previous one (section 4.8, steps 1 and 2).
 
+    In a corner of a foam the cloud has no plane: there the normal is the mean of those around.
+
     Args:
         x: [n] positions, m.
+        before: [n] in foams, previous unit normals; null for a single film, which has no corners.
         rows: E:E neighbours.
         r: support radius, m.
         normal: [n_e] unit normals, previous in, new out.
@@ -56,6 +78,12 @@ def orient_frames_e(
         n = wp.normalize(n)
         if wp.dot(n, old) < 0.0:
             n = -n
+        if before:
+            most = wp.max(values[0], wp.max(values[1], values[2]))
+            middle = values[0] + values[1] + values[2] - most - values[least]
+            round = (values[least] / middle - PLANE) / (BALL - PLANE)
+            if round > 0.0:
+                n = wp.normalize(wp.lerp(n, mean_normal(i, x, before, rows, r), wp.min(round, 1.0)))
         # A cloud without a plane (clumped or collinear particles) gives no trustworthy PCA: keep the old normal.
         if wp.dot(n, old) > 0.5:
             normal[i] = n
@@ -153,7 +181,11 @@ def sharpen_normal_e(
         if j < n_e:
             slope += (kappa[j] - kappa[i]) * gradient[k]
     h = r / 3.0
-    normal[i] = wp.normalize(normal[i] + 0.2254 * h * h * slope)
+    cubic = 0.2254 * h * h * slope
+    size = wp.length(cubic)
+    if size > STEEPEST:
+        cubic *= STEEPEST / size
+    normal[i] = wp.normalize(normal[i] + cubic)
 
 
 @wp.kernel

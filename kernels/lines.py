@@ -147,8 +147,8 @@ def touch_chunks(
 
 
 @wp.func
-def touched_walls(g: int, regions: int, touch: wp.array(dtype=wp.int32)) -> int:
-    """Walls that region g touches, a bit each, from the parts of `touch_chunks`."""
+def walls_of(g: int, regions: int, touch: wp.array(dtype=wp.int32)) -> int:
+    """Walls that region g touches, a bit each."""
     start, stop = region_parts(g, touch.shape[0], regions)
     bits = int(0)
     for c in range(start, stop):
@@ -157,21 +157,19 @@ def touched_walls(g: int, regions: int, touch: wp.array(dtype=wp.int32)) -> int:
 
 
 @wp.func
-def along_walls(v: wp.vec3, g: int, regions: int, touch: wp.array(dtype=wp.int32), contact: Contact) -> wp.vec3:
-    """The part of v along the walls that region g touches: across them the walls take up what there is."""
-    bits = touched_walls(g, regions, touch)
+def along_walls(v: wp.vec3, walls: int, contact: Contact) -> wp.vec3:
+    """The part of v along these walls: across them they take up what there is."""
     for k in range(contact.point.shape[0]):
-        if (bits >> k) & 1 == 1:
+        if (walls >> k) & 1 == 1:
             v = tangential(v, contact.inward[k])
     return v
 
 
 @wp.func
-def about_walls(spin: wp.vec3, g: int, regions: int, touch: wp.array(dtype=wp.int32), contact: Contact) -> wp.vec3:
-    """The part of an angular momentum about the normals of the walls that region g touches: they take up the rest."""
-    bits = touched_walls(g, regions, touch)
+def about_walls(spin: wp.vec3, walls: int, contact: Contact) -> wp.vec3:
+    """The part of an angular momentum about the normals of these walls: they take up the rest."""
     for k in range(contact.point.shape[0]):
-        if (bits >> k) & 1 == 1:
+        if (walls >> k) & 1 == 1:
             spin = wp.dot(spin, contact.inward[k]) * contact.inward[k]
     return spin
 
@@ -188,7 +186,7 @@ def find_missing_r(
     """Acceleration of each region by the force that its loads leave out, along the walls it touches. [regions]."""
     g = wp.tid()
     regions = missing.shape[0]
-    force = along_walls(region_total(net, g, regions), g, regions, touch, contact)
+    force = along_walls(region_total(net, g, regions), walls_of(g, regions, touch), contact)
     missing[g] = whole_velocity(region_total(mass, g, regions), force)
 
 
@@ -275,97 +273,101 @@ def gained_chunks(
     middle[c] = wp.vec4(place[0], place[1], place[2], size)
 
 
-@wp.func
-def region_middle(middle: wp.array(dtype=wp.vec4), g: int, regions: int) -> wp.vec3:
-    """Centroid of region g's surface, m, from the parts of `gained_chunks`."""
-    own = region_total(middle, g, regions)
-    return wp.vec3(own[0], own[1], own[2]) / own[3]
-
-
-@wp.struct
-class Debt:
-    """What a foam owes itself; one entry each."""
-
-    momentum: wp.array(dtype=wp.vec3)  # owed, kg m/s
-    spin: wp.array(dtype=wp.vec3)  # owed about `middle`, kg m^2/s
-    push: wp.array(dtype=wp.vec3)  # paid now to each area that others cover, kg/(m s)
-    turn: wp.array(dtype=wp.vec3)  # the same that grows with the distance from `middle`: push + turn x distance
-    middle: wp.array(dtype=wp.vec3)  # of what touches, m
-
-
 @wp.kernel
-def pool_debt(
+def owe_r(
     gained: wp.array(dtype=wp.vec4),
     turned: wp.array(dtype=wp.vec3),
     middle: wp.array(dtype=wp.vec4),
-    touch: wp.array(dtype=wp.int32),
-    contact: Contact,
     share: float,
-    regions: int,
     # outputs
-    debt: Debt,
+    owed: wp.array(dtype=wp.vec4),
+    spin: wp.array(dtype=wp.vec3),
+    place: wp.array(dtype=wp.vec3),
 ):
-    """Momentum and angular momentum owed to all bubbles that touch others, and what of it is paid in this step.
+    """Momentum and angular momentum owed to each region. [regions].
 
     Inner forces have none in all, and walls none along them; but what stops sheets that close in on each other, and the
     matrix, know normals alone, so that contact kicks and turns a foam as a whole.
 
     Args:
-        gained, turned, middle: from `gained_chunks`.
-        touch: from `touch_chunks`.
-        contact: constants.
-        share: how much of the debt is paid in a step.
-        regions: number of regions.
-        debt: in and out.
+        gained: from `gained_chunks`.
+        turned: the same.
+        middle: the same.
+        share: how much of what was owed has been paid in the last step, where others covered the region; elsewhere all.
+        owed: momentum before a step's payment, kg m/s, and the area that others cover, m^2; in and out.
+        spin: angular momentum about the region's centroid, kg m^2/s; in and out.
+        place: centroid of the region's surface, m.
     """
-    momentum = wp.vec3()
-    spin = wp.vec3()
-    centre = wp.vec3()
-    covered = float(0.0)
-    for g in range(regions):
-        own = region_total(gained, g, regions)
-        if own[3] > 0.0:
-            momentum += wp.vec3(own[0], own[1], own[2])
-            spin += region_total(turned, g, regions)
-            centre += own[3] * region_middle(middle, g, regions)
-            covered += own[3]
-    if covered == 0.0:
-        return
-    centre = centre / covered
-    inertia = wp.mat33()
-    owed = debt.momentum[0] + momentum
-    around = debt.spin[0] + spin - wp.cross(centre, momentum)
-    for g in range(regions):
-        own = region_total(gained, g, regions)
-        if own[3] > 0.0:
-            d = region_middle(middle, g, regions) - centre
-            inertia += own[3] * (wp.dot(d, d) * wp.identity(3, float) - wp.outer(d, d))
-            owed = along_walls(owed, g, regions, touch, contact)
-            around = about_walls(around, g, regions, touch, contact)
-    debt.momentum[0] = (1.0 - share) * owed
-    debt.spin[0] = (1.0 - share) * around
-    debt.push[0] = share / covered * owed
-    debt.turn[0] = share * wp.inverse(inertia + ROUND * wp.trace(inertia) * wp.identity(3, float)) * around
-    debt.middle[0] = centre
+    g = wp.tid()
+    regions = owed.shape[0]
+    old = owed[g]
+    left = wp.where(old[3] > 0.0, 1.0 - share, 0.0)
+    own = region_total(gained, g, regions)
+    size = region_total(middle, g, regions)
+    centre = wp.vec3(size[0], size[1], size[2]) / size[3]
+    owed[g] = wp.vec4(left * old[0] + own[0], left * old[1] + own[1], left * old[2] + own[2], own[3])
+    lost = wp.vec3(own[0], own[1], own[2])
+    spin[g] = left * spin[g] + region_total(turned, g, regions) - wp.cross(centre, lost)
+    place[g] = centre
 
 
 @wp.kernel
 def pay_debt_r(
-    gained: wp.array(dtype=wp.vec4),
-    middle: wp.array(dtype=wp.vec4),
+    owed: wp.array(dtype=wp.vec4),
+    spin: wp.array(dtype=wp.vec3),
+    place: wp.array(dtype=wp.vec3),
+    cluster: wp.array(dtype=wp.int32),
     mass: wp.array(dtype=wp.mat33),
     touch: wp.array(dtype=wp.int32),
     contact: Contact,
-    debt: Debt,
+    share: float,
     # outputs
     recoil: wp.array(dtype=wp.vec3),
 ):
-    """What each region gets of the debt, by its covered area; one that touches no other, all its own. [regions]."""
+    """What each region gets of what its cluster is owed; one that touches no other, all its own.
+
+    Each gets a p + b x d by its covered area a, d its distance from the cluster's middle: so much that the cluster as
+    a whole gets its momentum (p) and angular momentum (b).
+
+    Args:
+        owed: [regions] from `owe_r`.
+        spin: [regions] the same.
+        place: [regions] the same.
+        cluster: [regions] number of each region's cluster.
+        mass: parts of the inertia, kg.
+        touch: from `touch_chunks`.
+        contact: constants.
+        share: how much of the debt is paid in a step.
+        recoil: [regions] velocity given back, m/s.
+    """
     g = wp.tid()
     regions = recoil.shape[0]
-    own = region_total(gained, g, regions)
-    net = along_walls(wp.vec3(own[0], own[1], own[2]), g, regions, touch, contact)
+    own = owed[g]
+    walls = walls_of(g, regions, touch)
+    net = wp.vec3(own[0], own[1], own[2])
     if own[3] > 0.0:
-        d = region_middle(middle, g, regions) - debt.middle[0]
-        net = own[3] * (debt.push[0] + wp.cross(debt.turn[0], d))
-    recoil[g] = whole_velocity(region_total(mass, g, regions), net)
+        momentum = wp.vec3()
+        around = wp.vec3()
+        shift = wp.vec3()
+        second = wp.mat33()
+        covered = float(0.0)
+        for h in range(regions):
+            other = owed[h]
+            if cluster[h] == cluster[g] and other[3] > 0.0:
+                d = place[h] - place[g]
+                lost = wp.vec3(other[0], other[1], other[2])
+                momentum += lost
+                around += spin[h] + wp.cross(d, lost)
+                shift += other[3] * d
+                second += other[3] * wp.outer(d, d)
+                covered += other[3]
+                walls = walls | walls_of(h, regions, touch)
+        middle = shift / covered
+        second -= wp.outer(shift, middle)
+        around = about_walls(around - wp.cross(middle, momentum), walls, contact)
+        turn = wp.vec3()
+        size = wp.trace(second)
+        if size > 0.0:
+            turn = wp.inverse((1.0 + ROUND) * wp.identity(3, float) - second / size) * around / size
+        net = share * own[3] * (momentum / covered - wp.cross(turn, middle))
+    recoil[g] = whole_velocity(region_total(mass, g, regions), along_walls(net, walls, contact))

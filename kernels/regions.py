@@ -4,6 +4,8 @@ from typing import Any
 
 import warp as wp
 
+from melp_warp.kernels.neighbors import Neighbors
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -38,3 +40,50 @@ def region_total(part: wp.array(dtype=Any), g: int, regions: int):
     for c in range(start, stop):
         total += part[c]
     return total
+
+
+@wp.kernel
+def near_chunks(
+    region: wp.array(dtype=wp.int32),
+    facing: Neighbors,
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    near: wp.array2d(dtype=wp.int32),
+):
+    """1 for every region of which an E is within reach of one in a part of a region, 0 for the others.
+
+    Args:
+        region: [n] region of each E.
+        facing: E of other regions near each E.
+        first: [regions + 1] first E of each region.
+        near: [parts, regions].
+    """
+    c = wp.tid()
+    for h in range(near.shape[1]):
+        near[c, h] = 0
+    start, stop = part_range(c, first, near.shape[0])
+    for i in range(start, stop):
+        for k in range(facing.start[i], facing.stop[i]):
+            near[c, region[facing.index[k]]] = 1
+
+
+@wp.kernel
+def join_clusters_r(
+    near: wp.array2d(dtype=wp.int32),
+    before: wp.array(dtype=wp.int32),
+    # outputs
+    cluster: wp.array(dtype=wp.int32),
+):
+    """The least number among a region's cluster and those of the regions near it, and of the cluster of that number.
+
+    From each region's own number on, a cluster ends up with the number of its first region, the sooner the more are
+    joined already. [regions].
+    """
+    g = wp.tid()
+    least = before[g]
+    start, stop = region_parts(g, near.shape[0], near.shape[1])
+    for c in range(start, stop):
+        for h in range(near.shape[1]):
+            if near[c, h] == 1:
+                least = wp.min(least, before[h])
+    cluster[g] = before[least]

@@ -71,5 +71,6 @@ class Features:
             "contact": self.foam,
             "lines": self.foam,
             "exchange": self.foam,
+            "regions": self.foam,
         }
         return [name for name, wanted in needed.items() if wanted]

@@ -21,6 +21,7 @@ from melp_warp.kernels import exchange as kx
 from melp_warp.kernels import foam as kf
 from melp_warp.kernels import lines as kl
 from melp_warp.kernels import motion as ko
+from melp_warp.kernels import regions as kr
 from melp_warp.kernels.cells import CORNERS
 from melp_warp.launch import Shared
 from melp_warp.linear import GasConjugateGradient, LinearOperator
@@ -35,7 +36,7 @@ CONTACT_ROOM = 70
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.02, 4.6
+BENT, CAP = 0.02, 2.5
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
 PATIENCE = 1.0
@@ -46,6 +47,9 @@ MOST = 4.0
 
 LEASH = 0.8
 """Largest distance of an E from the mean of its neighbours, spacings."""
+
+JOINS = 4
+"""Pairs of sweeps in which clusters are found; each may double the number of bubbles in a row that they reach."""
 
 EXCHANGE_INTERVAL = 1.0 / 240.0
 """Least time between two exchanges of L, s."""
@@ -117,7 +121,7 @@ class FoamMembrane:
         self.fields, self.forces = fields, forces
         n = film.n_e
         self.contact = make_contact(film)
-        self.cover, self._faced = film.zeros(n), film.zeros(n)
+        self.cover, self._faced, self._free = film.zeros(n), film.zeros(n), film.zeros(n)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start = self.frame = state.motion
@@ -125,9 +129,10 @@ class FoamMembrane:
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
         self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
-        self._debt = kl.Debt()
-        for name in ("momentum", "spin", "push", "turn", "middle"):
-            setattr(self._debt, name, film.zeros(1, wp.vec3))
+        self._owed = film.zeros(film.regions, wp.vec4)
+        self._spin, self._place = film.zeros(film.regions, wp.vec3), film.zeros(film.regions, wp.vec3)
+        self._alone = wp.array(np.arange(film.regions, dtype=np.int32), device=film.device)
+        self._cluster, self._joined = (film.zeros(film.regions, wp.int32) for _ in range(2))
         self._stride = CORNERS + int(CONTACT_ROOM * film.room)
         rows = fixed_rows(n, self._stride, film.device)
         numerics = film.numerics
@@ -144,6 +149,7 @@ class FoamMembrane:
         self._momentum, self._turned, self._touch = film.parts(wp.vec3), film.parts(wp.vec3), film.parts(wp.int32)
         self._gained, self._middle = film.parts(wp.vec4), film.parts(wp.vec4)
         self._swept = film.parts(wp.float64)
+        self._near = wp.zeros((self._touch.shape[0], film.regions), dtype=wp.int32, device=film.device)
         self._fresh = True
 
     def start_motion(self) -> None:
@@ -173,8 +179,8 @@ class FoamMembrane:
         film, e = self.film, self.state.e
         film.launch_e(
             kc.find_cover_e,
-            [x, e.normal, self.geometry.area, self.lists.eo.rows, self.lists.ee.rows, self.contact],
-            [self.cover, self._faced],
+            [x, e.normal, self.geometry.share, self.lists.eo.rows, self.lists.ee.rows, self.contact],
+            [self.cover, self._faced, self._free],
         )
 
     def nearest_regions(self) -> np.ndarray:
@@ -259,12 +265,23 @@ class FoamMembrane:
         """Momentum and angular momentum that the foam gave itself in the solve, back to where they came from."""
         film, e = self.film, self.state.e
         arrays = [e.x, e.normal, self.geometry.area, self._faced, self._outer, self._mass, self.response.x, film.first]
-        parts, wall = [self._gained, self._turned, self._middle], [self._touch, self.contact]
+        parts, debt = [self._gained, self._turned, self._middle], [self._owed, self._spin, self._place]
         film.launch_parts(kl.gained_chunks, arrays, parts)
-        film.launch_one(kl.pool_debt, [*parts, *wall, self._patience(dt), film.regions], [self._debt])
-        film.launch_regions(
-            kl.pay_debt_r, [self._gained, self._middle, self._inertia, *wall, self._debt], [self._recoil]
-        )
+        share = self._patience(dt)
+        film.launch_regions(kl.owe_r, [*parts, share], debt)
+        self._find_clusters()
+        wall = [self._touch, self.contact]
+        film.launch_regions(kl.pay_debt_r, [*debt, self._cluster, self._inertia, *wall, share], [self._recoil])
+
+    def _find_clusters(self) -> None:
+        """Number of each region's cluster: those that are near each other, and those near them, and so on."""
+        film = self.film
+        film.launch_parts(kr.near_chunks, [self.state.e.region, self.lists.eo.rows, film.first], [self._near])
+        before = self._alone
+        for _ in range(JOINS):
+            film.launch_regions(kr.join_clusters_r, [self._near, before], [self._joined])
+            film.launch_regions(kr.join_clusters_r, [self._near, self._joined], [self._cluster])
+            before = self._cluster
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
@@ -284,7 +301,8 @@ class FoamMembrane:
         film.launch_e(
             kc.press_foam_e,
             [
-                *(e.x, self.predicted, e.normal, geometry.area, e.mass, e.region, self.added, self.push, self._faced),
+                *(e.x, self.predicted, e.normal, geometry.share, geometry.vector),
+                *(self.fields.eta, film.material.density, e.region, self.added, self.push, self._faced, self._free),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
             [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],

@@ -38,6 +38,8 @@ class Geometry:
         tie: [CORNERS n_e] in foams, w_ij of the star's pairs, symmetric: sum_j w_ij (x_j - x_i) is minus the area's
             gradient.
         vector: [n_e] in foams, gradient of the volume of the polyhedron of stars, m^2.
+        share: [n_e] in foams, each E's share of that polyhedron's area, m^2: with it sheets press and cling. Unlike a
+            cell, whose plane and fit say little in a corner, it is never more than the E around are apart.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists):
@@ -50,16 +52,19 @@ class Geometry:
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
-        self.star, self._found, self.tie, self.vector = Neighbors(), None, None, None
+        self.star, self._found, self.tie, self.vector, self.share, self._before = Neighbors(), *5 * (None,)
         if film.features.foam:
+            self._before = film.zeros(state.e.normal.shape[0], wp.vec3)
             self.star = fixed_rows(film.n_e, kc.CORNERS, film.device)
             self._found, self.tie = (film.zeros(film.n_e * kc.CORNERS) for _ in range(2))
-            self.vector = film.zeros(film.n_e, wp.vec3)
+            self.vector, self.share = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
 
     def update(self) -> None:
         """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
         film, e, rows = self.film, self.state.e, self.lists.ee.rows
-        film.launch_e(kg.orient_frames_e, [e.x, rows, film.r], [e.normal])
+        if self._before:
+            wp.copy(self._before, e.normal)
+        film.launch_e(kg.orient_frames_e, [e.x, self._before, rows, film.r], [e.normal])
         film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.surface, self.kappa, self.gradient])
         if film.features.closed:
             film.launch_e(kg.sharpen_normal_e, [self.kappa, rows, self.gradient, film.n_e, film.r], [e.normal])
@@ -76,7 +81,7 @@ class Geometry:
         self.measure_volume()
         if film.features.foam:
             film.launch_e(kf.pair_star_e, [self.star, self._found], [self.tie])
-            film.launch_e(kf.star_vector_e, [e.x, self.star], [self.vector])
+            film.launch_e(kf.star_vector_e, [e.x, self.star], [self.vector, self.share])
 
     def set_area(self, area: wp.array) -> None:
         """Take control areas found otherwise, for a film whose E stay where they are."""

@@ -84,7 +84,7 @@ def test_cover_says_where_two_sheets_are_one_film(device):
         flat[:, 0], normal[:, 0] = -0.5 * side * gap * film.spacing, side
         s.state.e.x.assign(flat.astype(np.float32))
         s.state.e.normal.assign(normal.astype(np.float32))
-        s.geometry.area.fill_(film.spacing**2)
+        s.geometry.share.fill_(film.spacing**2)
         s.lists.rebuild()
         s.membrane.find_contacts(s.state.e.x)
         inside = np.all((flat[:, 1:] > 4 * film.spacing) & (flat[:, 1:] < (wide - 5) * film.spacing), axis=1)
@@ -194,6 +194,34 @@ def test_wall_carries_a_bubble(device):
     assert y.min() >= 0.0
     assert np.all(cover[y < 0.1 * film.spacing] > 0.5)
     assert np.sum(y < 0.3 * film.spacing) > 20
+
+
+def test_clusters_are_bubbles_that_are_near_each_other(device):
+    """A row of nine that touch, out of order, a pair, and one alone: each has the number of its first bubble."""
+    order = [8, 0, 5, 2, 7, 4, 1, 6, 3]
+    row = [Bubble((2.0 * R * k, 0.0, 0.0), R) for k in order]
+    others = [Bubble((2.0 * R * k, 9.0 * R, 0.0), R) for k in (0, 1, 7)]
+    _, s = foam(Cluster((*row, *others)), 12 * 130, device)
+    s.membrane._find_clusters()
+    assert s.membrane._cluster.numpy().tolist() == [0] * 9 + [9, 9, 11]
+
+
+def test_what_covers_a_sheet_twice_holds_it_once(device):
+    """Where two bubbles and the floor meet, what counts of a sheet's hold on the others is what covers it once."""
+    bubbles = (Bubble((-R, R, 0.0), R), Bubble((R, R, 0.0), R))
+    surroundings = Surroundings(air="added_mass", damping=30.0)
+    shape = Cluster(bubbles, (Wall((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),))
+    film, s = foam(shape, 800, device, surroundings=surroundings)
+    for _ in range(60):
+        s.step(1.0 / 480.0)
+    x, m = s.state.e.x.numpy(), s.membrane
+    free, faced = m._free.numpy(), m._faced.numpy()
+    partition = (faced == 1.0) & (x[:, 1] > 3.0 * film.spacing)
+    floor = (x[:, 1] < 0.15 * film.spacing) & (faced == 0.0)
+    assert partition.sum() > 20
+    assert floor.sum() > 20
+    assert np.all(free[partition] > 0.8)
+    assert np.median(free[floor]) < 0.05
 
 
 def test_single_region_sums_match_numpy(device):

@@ -5,6 +5,9 @@ import pytest
 import warp as wp
 
 from melp_warp.kernels import geometry as kg
+from melp_warp.kernels.cells import voronoi_cell_e
+from melp_warp.kernels.mls import Quadric
+from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.shapes import Ellipsoid, Rectangle, Samples, Sphere
 from tests.helpers import Jittered, Patch, fitted_order, make_rows, make_stepper, near, pairs_of, place_e
 
@@ -266,12 +269,43 @@ def test_degenerate_clouds_keep_their_normal(cloud, device):
     points = wp.array(x.astype(np.float32), dtype=wp.vec3, device=device)
     normal = wp.array(old.astype(np.float32), dtype=wp.vec3, device=device)
     kappa = wp.zeros(12, dtype=float, device=device)
-    wp.launch(kg.orient_frames_e, 12, [points, rows, 1.0], [normal], device=device)
+    wp.launch(kg.orient_frames_e, 12, [points, None, rows, 1.0], [normal], device=device)
     n = normal.numpy()
     assert np.abs(np.linalg.norm(n, axis=1) - 1.0).max() < 1e-5
     assert np.all(n @ old[0] > 0.5)
     wp.launch(kg.curvature_mls_e, 12, [points, normal, rows, 1.0], [kappa], device=device)
     assert np.all(np.isfinite(kappa.numpy()))
+
+
+def test_corner_without_a_plane_takes_the_normals_around(device):
+    """Seven E as an octahedron have no plane: the one in the middle faces as the others do, by 40 degrees elsewhere."""
+    x = np.concatenate([np.zeros((1, 3)), 0.5 * np.eye(3), -0.5 * np.eye(3)])
+    rows = make_rows(near(x, x, 1.0, same=True), device)
+    around = np.array([0.0, 0.6, 0.8])
+    old = np.tile(around, (7, 1))
+    old[0] = np.cos(np.radians(40.0)) * around + np.sin(np.radians(40.0)) * np.array([1.0, 0.0, 0.0])
+    points, before, normal = (wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in (x, old, old))
+    wp.launch(kg.orient_frames_e, 7, [points, before, rows, 1.0], [normal], device=device)
+    assert normal.numpy()[0] == pytest.approx(around, abs=1e-5)
+
+
+def test_cells_in_a_corner_are_no_larger_than_neighbours_are_apart(device):
+    """An E at the tip of a cone, neighbours at distance 1 at ever steeper slopes: its cell stays below that of a disc.
+
+    The bisectors lie within half that distance of the tip, on any slope.
+    """
+    for slope in np.radians([0.0, 45.0, 70.0]):
+        angle = 2.0 * np.pi * np.arange(6) / 6
+        ring = np.stack([np.cos(slope) * np.cos(angle), np.cos(slope) * np.sin(angle), 0.0 * angle - np.sin(slope)], 1)
+        x = np.concatenate([np.zeros((1, 3)), ring]).astype(np.float32)
+        rows = make_rows(near(x, x, 2.5, same=True), device)
+        normal = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (7, 1))
+        points, normals, flux = (wp.array(a, dtype=wp.vec3, device=device) for a in (x, normal, 0.0 * x))
+        area, bulge = (wp.zeros(7, dtype=float, device=device) for _ in range(2))
+        surface = wp.zeros(7, dtype=Quadric, device=device)
+        inputs = [points, normals, surface, rows, 2.5]
+        wp.launch(voronoi_cell_e, 7, inputs, [area, flux, bulge, Neighbors(), None], device=device)
+        assert 0.0 < area.numpy()[0] < 0.25 * 2.0 * np.sqrt(3.0) + 1e-5  # hexagon about a circle of radius 1/2
 
 
 @pytest.mark.parametrize(("jitter", "bound"), [(0.0, 2e-3), (0.15, 1.2e-2)])
