@@ -90,6 +90,8 @@ def shift_e(
 ):
     """Shift E by -strength grad_s C along the fitted surface; the velocity field stays where it is in space.
 
+    The smooth density of (9) hardly sees pairs, which form where a sheet is bent: E that are close push each other apart.
+
     Args:
         pressure: [n] C, m^2.
         x: [n] m.
@@ -102,6 +104,7 @@ def shift_e(
         rows: E:E neighbours.
         gradient: [pairs] gradient weights, 1/m.
         strength: beta, 0 to 1.
+        spacing: of the E, m.
         limit: largest shift, m; up to four times as much where the E are so uneven that their spread is above 1.
         dt: s.
         x_new: [n_e] m.

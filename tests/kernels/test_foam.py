@@ -6,6 +6,8 @@ import warp as wp
 
 from melp_warp.cluster import Bubble, Cluster, Wall
 from melp_warp.errors import SimulationError
+from melp_warp.foam import make_contact
+from melp_warp.kernels import lines as kl
 from melp_warp.material import Surroundings
 from melp_warp.sampling import make_film
 from tests.helpers import fitted_order, make_stepper
@@ -204,6 +206,35 @@ def test_clusters_are_bubbles_that_are_near_each_other(device):
     _, s = foam(Cluster((*row, *others)), 12 * 130, device)
     s.membrane._find_clusters()
     assert s.membrane._cluster.numpy().tolist() == [0] * 9 + [9, 9, 11]
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_what_a_cluster_is_owed_is_paid_in_full(device, count):
+    """With a share of 1 its regions get the momentum that was gained, and the angular momentum about their middle.
+
+    That of two bubbles about the line through them is left: moving them cannot give it.
+    """
+    rng = np.random.default_rng(count)
+    owed = rng.normal(size=(count, 4)).astype(np.float32)
+    owed[:, 3] = rng.uniform(1e-3, 2e-3, size=count)
+    spin, place = (scale * rng.normal(size=(count, 3)).astype(np.float32) for scale in (0.05, R))
+    mass = (rng.uniform(1.0, 2.0, size=count)[:, None, None] * np.eye(3)).astype(np.float32)
+    film, _ = foam(pair(0.0), 300, device)
+    arrays = [wp.array(owed, dtype=wp.vec4, device=device)]
+    arrays += [wp.array(a, dtype=wp.vec3, device=device) for a in (spin, place)]
+    arrays += [wp.zeros(count, dtype=wp.int32, device=device), wp.array(mass, dtype=wp.mat33, device=device)]
+    arrays += [wp.zeros(count, dtype=wp.int32, device=device), make_contact(film), 1.0]
+    recoil = wp.zeros(count, dtype=wp.vec3, device=device)
+    wp.launch(kl.pay_debt_r, dim=count, inputs=arrays, outputs=[recoil], device=device)
+    paid = mass[:, 0, :1] * recoil.numpy()
+    middle = np.average(place, axis=0, weights=owed[:, 3])
+    expected = np.sum(spin + np.cross(place - middle, owed[:, :3]), axis=0)
+    found = np.cross(place - middle, paid).sum(axis=0)
+    if count == 2:
+        axis = (place[1] - place[0]) / np.linalg.norm(place[1] - place[0])
+        expected, found = (v - axis * (v @ axis) for v in (expected, found))
+    assert paid.sum(axis=0) == pytest.approx(owed[:, :3].sum(axis=0), rel=1e-4, abs=1e-4)
+    assert np.linalg.norm(found - expected) < 5e-3 * np.linalg.norm(expected)
 
 
 def test_what_covers_a_sheet_twice_holds_it_once(device):

@@ -71,6 +71,24 @@ def test_even_points_are_left_alone(device):
     assert s.redistribution.spread.numpy()[0, 2] == 0.0
 
 
+def test_pairs_are_parted(device):
+    """Two E a fifth of a spacing apart are further apart than half a spacing ten times later, on the sphere.
+
+    The density (9) of a pair is that of two E a spacing apart within a few per cent: it alone leaves pairs as they are.
+    """
+    film, s = make_stepper(Sphere(RADIUS), 1000, device)
+    x = f64(s.state.e.x)
+    i = 500
+    j = np.argsort(np.linalg.norm(x - x[i], axis=1))[1]
+    x[j] = x[i] + 0.2 * film.spacing * (x[j] - x[i]) / np.linalg.norm(x[j] - x[i])
+    x[j] *= RADIUS / np.linalg.norm(x[j])
+    place_e(s, x, x / RADIUS)
+    apply(s, 10)
+    x = f64(s.state.e.x)
+    assert np.linalg.norm(x[j] - x[i]) > 0.5 * film.spacing
+    assert np.abs(np.linalg.norm(x, axis=1) - RADIUS).max() < 0.01 * film.spacing
+
+
 def test_velocity_field_stays_in_space(device):
     """u(x) = A x + b on E is still A x + b at the places they are shifted to.
 
