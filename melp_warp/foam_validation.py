@@ -300,8 +300,8 @@ def packed(count: int = 300, e_per_bubble: int = 240, frames: int = 200) -> dict
     """Equal bubbles as densely packed as spheres can be, which cling and become a foam; run to rest.
 
     Returns:
-        `measured`: bubbles left; `speed`, `rms_speed`: largest and rms at the end, m/s; `covered`: share of all films that is partitions;
-        `volume_drift`: largest relative change of a volume; `ms`: of a step.
+        `measured`: bubbles left; `speed`, `rms_speed`: largest and root mean square at the end, m/s; `covered`: share
+        of all films that is partitions; `volume_drift`: largest relative change of a volume; `ms`: of a step.
     """
     lattice = np.array([p for p in product(range(-9, 10), repeat=3) if sum(p) % 2 == 0], dtype=np.float64)
     nearest = lattice[np.argsort((lattice**2).sum(axis=1), kind="stable")][:count]
