@@ -90,7 +90,7 @@ def shift_e(
 ):
     """Shift E by -strength grad_s C along the fitted surface; the velocity field stays where it is in space.
 
-    The smooth density of (9) hardly sees pairs, which form where a sheet is bent: E that are close part from each other.
+    The smooth density of (9) hardly sees pairs, which form where a sheet is bent: E that are close are parted.
 
     Args:
         pressure: [n] C, m^2.
