@@ -8,3 +8,4 @@ if os.environ.get("MELP_WARP_PRECISION", "32") != "32":
     from melp_warp import double
 
     double.install()
+    __version__ += "+float64"
