@@ -3,7 +3,8 @@
 The source is written once, for float32, and read as it stands unless the variable asks otherwise. Warp promotes no
 literal and has a type for each precision, so `rewrite` changes the text of a module, line by line, as it is loaded:
 
-* everywhere `wp.float32`, `wp.vec3`, `wp.mat33`, ... become `wp.float64`, `wp.vec3d`, `wp.mat33d`, ...;
+* everywhere `wp.float32`, `wp.vec3`, `wp.mat33`, ... become `wp.float64`, `wp.vec3d`, `wp.mat33d`, ..., and so does
+  `dtype=float` where Warp is called;
 * in kernels, functions and structs `float` and literals become `wp.float64`, in C++ rows `float` becomes `double`;
 * a `wp.constant` of a float is a `wp.float64`;
 * hash grids take float64 points.
@@ -131,8 +132,7 @@ class _Edits(ast.NodeVisitor):
     def visit_Call(self, node: ast.Call) -> None:
         called = _of_warp(node.func)
         if called == "HashGrid":
-            end = node.end_col_offset - 1
-            self.found.append((node.end_lineno, end, end, ", dtype=wp.float64"))
+            self._wrap([*node.args, *node.keywords][-1], "", ", dtype=wp.float64")
         elif called == "func_native":
             self._wrap(node.args[0], "double_snippet(")
         elif called in _RANDOM:
@@ -140,6 +140,9 @@ class _Edits(ast.NodeVisitor):
         elif called == "constant":
             self._wrap(node.args[0], "double_constant(")
         self.generic_visit(node)
+        for keyword in node.keywords if called and not self._compiled else ():
+            if keyword.arg == "dtype" and ast.unparse(keyword.value) == "float":
+                self._replace(keyword.value, "wp.float64")
 
     def visit_Attribute(self, node: ast.Attribute) -> None:
         name = _of_warp(node)

@@ -108,7 +108,12 @@ def test_knob_runs_a_case_in_float64():
         ("x = wp.zeros(3, dtype=wp.vec3), wp.float32, wp.mat33, wp.vec2f, wp.vec3d, wp.int32", None),
         ("y = 0.5 * float(a)  # of the host", "y = 0.5 * float(a)  # of the host"),
         ("HALF = wp.constant(0.5)", "HALF = wp.constant(double_constant(0.5))"),
-        ("g = wp.HashGrid(8, 8, 8)", "g = wp.HashGrid(8, 8, 8, dtype=wp.float64)"),
+        ("g = wp.HashGrid(\n8, 8, 8,\n)", "g = wp.HashGrid(\n8, 8, 8, dtype=wp.float64,\n)"),
+        (
+            "a, b = wp.ones(1, dtype=float), np.ones(1, dtype=float)",
+            "a, b = wp.ones(1, dtype=wp.float64), np.ones(1, dtype=float)",
+        ),
+        ("@wp.func\ndef f(a: wp.array(dtype=float)): ...", "@wp.func\ndef f(a: wp.array(dtype=wp.float64)): ..."),
         (
             "@wp.func\ndef f(a: float) -> float:\n    é = 2; return 0.5 * a + wp.randf(s)",
             "@wp.func\ndef f(a: wp.float64) -> wp.float64:\n"
