@@ -24,7 +24,7 @@ def seek_normals_e(
     rows: Neighbors,
     reach: float,
     bent: wp.array(dtype=float),
-    share: float,
+    share: wp.array(dtype=float),
     # outputs
     sought: wp.array(dtype=wp.vec3),
 ):
@@ -48,7 +48,7 @@ def seek_normals_e(
         rows: E:E neighbours.
         reach: m.
         bent: [regions] mean square turn of the normals from which they take up force.
-        share: how far l comes towards what it should be in this step, 0 to 1.
+        share: [1] how far l comes towards what it should be in this step, 0 to 1.
         sought: [n_e] l over the sum of weights, N m^2; in and out.
     """
     i = rows.first + wp.tid()
@@ -59,7 +59,7 @@ def seek_normals_e(
     for k in range(star.start[i], star.stop[i]):
         held = wp.max(held, cover[star.index[k]])
     if held == 0.0:
-        sought[i] = (1.0 - share) * sought[i]
+        sought[i] = (1.0 - share[0]) * sought[i]
         return
     total = kernel_w(0.0, reach)
     spread = total * wp.outer(n, n)
@@ -75,7 +75,7 @@ def seek_normals_e(
         axis = wp.vec3(axes[0, k], axes[1, k], axes[2, k])
         s = wp.max(turn[k], 0.0) / least
         found += (s * s * s / (1.0 + s * s * s * s) / least * wp.dot(axis, along)) * axis
-    sought[i] = sought[i] + share * (found / total - sought[i])
+    sought[i] = sought[i] + share[0] * (found / total - sought[i])
 
 
 @wp.kernel
@@ -245,7 +245,7 @@ def pool_debt(
     gained: wp.array(dtype=wp.vec4),
     touch: wp.array(dtype=wp.int32),
     contact: Contact,
-    share: float,
+    share: wp.array(dtype=float),
     regions: int,
     # outputs
     debt: wp.array(dtype=wp.vec4),
@@ -259,7 +259,7 @@ def pool_debt(
         gained: from `gained_chunks`.
         touch: from `touch_chunks`.
         contact: constants.
-        share: how much of the debt is paid in a step.
+        share: [1] how much of the debt is paid in a step.
         regions: number of regions.
         debt: what is owed; what is paid now, with the area that others cover.
     """
@@ -274,7 +274,7 @@ def pool_debt(
         own = region_total(gained, g, regions)
         if own[3] > 0.0:
             owed = along_walls(owed, g, regions, touch, contact)
-    paid = share * owed
+    paid = share[0] * owed
     owed -= paid
     debt[0] = wp.vec4(owed[0], owed[1], owed[2], 0.0)
     debt[1] = wp.vec4(paid[0], paid[1], paid[2], total[3])

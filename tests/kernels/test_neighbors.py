@@ -98,7 +98,7 @@ def test_skin_of_opposed_motion(device):
     for k in range(1, 7):
         old = wp.clone(s.state.e.x)
         s.state.e.x.assign((x + k * way).astype(np.float32))
-        s.lists.record_e(old, s.frame, 1.0)
+        s.lists.record_e(old, s.frame, s.dt.at(1.0))
         s.lists.update_e()
         now = s.state.e.x.numpy().astype(np.float64)
         assert missing(s.lists.ee.rows, now, now, film.r, same=True) == 0
@@ -131,7 +131,7 @@ def test_skin_keeps_every_pair(name, velocity, dt, device):
     """
     film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4, velocity=velocity, surroundings=AIR)
     start = positions(s)
-    before = list(s.lists.builds)
+    before = s.lists.builds
     largest = 0.0
     for _ in range(40):
         old = positions(s)
