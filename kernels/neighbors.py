@@ -9,8 +9,6 @@ SAME = wp.constant(0)
 OTHER = wp.constant(1)
 ALL = wp.constant(2)
 
-GRID_CELLS = wp.constant(64)
-
 
 @wp.struct
 class Neighbors:
@@ -33,24 +31,25 @@ def cell_coordinate(x: float) -> int:
 
 
 @wp.func
-def cell_number(x: int, y: int, z: int) -> int:
-    """Number of a cell in a grid that wraps around after `GRID_CELLS`, a power of two, each way."""
-    last = GRID_CELLS - 1
-    return ((z & last) * GRID_CELLS + (y & last)) * GRID_CELLS + (x & last)
+def cell_number(x: int, y: int, z: int, side: int) -> int:
+    """Number of a cell in a grid that wraps around after `side` cells, a power of two, each way."""
+    last = side - 1
+    return ((z & last) * side + (y & last)) * side + (x & last)
 
 
 @wp.kernel
-def find_cell(x: wp.array(dtype=wp.vec3), width: float, cell: wp.array(dtype=wp.int32)):
-    """Cell of `width` (m) that each point lies in. [n]."""
+def find_cell(x: wp.array(dtype=wp.vec3), width: float, side: int, cell: wp.array(dtype=wp.int32)):
+    """Cell of `width` (m) that each point lies in, of a grid of `side` cells each way. [n]."""
     i = wp.tid()
     p = x[i] * (1.0 / width)
-    cell[i] = cell_number(cell_coordinate(p[0]), cell_coordinate(p[1]), cell_coordinate(p[2]))
+    cell[i] = cell_number(cell_coordinate(p[0]), cell_coordinate(p[1]), cell_coordinate(p[2]), side)
 
 
 @wp.kernel
 def fill_neighbors(
     cells: Neighbors,
     width: float,
+    side: int,
     x: wp.array(dtype=wp.vec3),
     source: wp.array(dtype=wp.vec3),
     radius: float,
@@ -65,10 +64,10 @@ def fill_neighbors(
 ):
     """List the `source` points within `radius` of each x in rows of room `stride`, in one query.
 
-    `cells` are the source points in each cell of `width`. `wanted` is the length of the row asked for; what is beyond
-    `stride` is left out, and `most` remembers that. `pick` is SAME for points of the same set and region but not the
-    point itself, OTHER for those of other regions, and ALL for the same region of another set; a null `region` stands
-    for a single one. Row starts are set beforehand.
+    `cells` are the source points in each cell, as `find_cell` has them. `wanted` is the length of the row asked for;
+    what is beyond `stride` is left out, and `most` remembers that. `pick` is SAME for points of the same set and region
+    but not the point itself, OTHER for those of other regions, and ALL for the same region of another set; a null
+    `region` stands for a single one. Row starts are set beforehand.
     """
     i = rows.first + wp.tid()
     p = x[i]
@@ -79,11 +78,11 @@ def fill_neighbors(
     high = wp.vec3i()
     for a in range(3):
         low[a] = cell_coordinate((p[a] - radius) * inverse)
-        high[a] = wp.min(cell_coordinate((p[a] + radius) * inverse), low[a] + GRID_CELLS - 1)
+        high[a] = wp.min(cell_coordinate((p[a] + radius) * inverse), low[a] + side - 1)
     for cz in range(low[2], high[2] + 1):
         for cy in range(low[1], high[1] + 1):
             for cx in range(low[0], high[0] + 1):
-                c = cell_number(cx, cy, cz)
+                c = cell_number(cx, cy, cz, side)
                 for k in range(cells.start[c], cells.stop[c]):
                     j = cells.index[k]
                     if wp.length_sq(source[j] - p) <= radius * radius:
@@ -186,6 +185,20 @@ def transpose_rows(rows: Neighbors, limit: int, columns: Neighbors):
         j = rows.index[k]
         if j < limit:
             columns.index[wp.atomic_add(columns.stop, j, 1)] = i
+
+
+@wp.kernel
+def sort_rows(rows: Neighbors):
+    """Put short rows in order: on a GPU they are filled in any."""
+    i = rows.first + wp.tid()
+    start = rows.start[i]
+    for k in range(start + 1, rows.stop[i]):
+        j = rows.index[k]
+        place = int(k)
+        while place > start and rows.index[place - 1] > j:
+            rows.index[place] = rows.index[place - 1]
+            place -= 1
+        rows.index[place] = j
 
 
 @wp.kernel

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
+from weakref import WeakMethod
 
 import warp as wp
 
@@ -192,17 +193,20 @@ class Recorded:
     run launch by launch instead, by all of them.
 
     Args:
-        body: launches the sequence.
+        body: method of its owner that launches the sequence; it is not kept alive by this.
         device: where to run.
         rows: threads of the largest launch.
         least: fewest rows that all cores together are better for.
     """
 
     def __init__(self, body: Callable[[], None], device, rows: int = 0, least: int = ALONE_ROWS):
-        self._body = body
+        self._method = WeakMethod(body)
         self._device = wp.get_device(device)
         self._shared = not self._device.is_cuda and THREADS > 1 and rows >= least
         self._graph = None
+
+    def _body(self) -> None:
+        self._method()()
 
     def __call__(self) -> None:
         """Run the sequence."""

@@ -41,8 +41,9 @@ class LinearOperator:
 class _Solver:
     """What the iterative solvers share: scalars, control and the counters read back for diagnostics."""
 
-    def __init__(self, n: int, tolerance: float, max_iterations: int, device, stride: int = 1):
+    def __init__(self, n: int, tolerance: float, max_iterations: int, device, stride: int = 1, dtype=wp.float32):
         self.n = n
+        self._typed = k.VECTORS if dtype is wp.vec3 else {}
         self.device = device
         self.stride = stride  # iterations between two looks at the residual
         self.scalar = wp.zeros(8, dtype=wp.float32, device=device)
@@ -54,7 +55,7 @@ class _Solver:
         self._run = Recorded(self._body, device, n)
 
     def _launch(self, kernel, inputs, outputs=(), dim=None):
-        launch(kernel, self.n if dim is None else dim, inputs, outputs, self.device)
+        launch(self._typed.get(kernel, kernel), self.n if dim is None else dim, inputs, outputs, self.device)
 
     def _dot(self, a, b, partial):
         self._launch(k.dot_chunks, [a, b, self.n], [partial], dim=CHUNKS)
@@ -94,7 +95,7 @@ class ConjugateGradient(_Solver):
 
     def __init__(self, operator, total, dtype, tolerance, max_iterations, jacobi: float | None = None):
         stride = 1 if jacobi is None else 2
-        super().__init__(operator.n, tolerance, max_iterations, operator.device, stride)
+        super().__init__(operator.n, tolerance, max_iterations, operator.device, stride, dtype)
         self.operator = operator
         self.jacobi = jacobi
         self.b, self.r, self.z, self.q = (wp.zeros(self.n, dtype=dtype, device=self.device) for _ in range(4))

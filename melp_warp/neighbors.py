@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import warp as wp
 
@@ -77,21 +79,25 @@ class CellGrid:
 
     Attributes:
         width: of a cell, m.
+        side: cells each way, a power of two: enough for a film that is laid out flat, as far as they are few to go
+            through.
         cells: points in each cell.
     """
 
     def __init__(self, n: int, width: float, device):
         self.width = width
+        self.side = min(max(2 ** math.ceil(0.5 * math.log2(max(n, 1)) - 2.0), 16), 64)
         points = fixed_rows(n, 1, device)
         points.stop.assign(np.arange(1, n + 1, dtype=np.int32))
         self._cell = points.index
-        self._list = TransposedList(kn.GRID_CELLS**3, points)
+        self._list = TransposedList(self.side**3, points)
         self.cells = self._list.rows
 
     def build(self, x: wp.array) -> None:
         """Sort the points x [n] (m) into their cells."""
-        launch(kn.find_cell, x.shape[0], [x, self.width], [self._cell], x.device)
+        launch(kn.find_cell, x.shape[0], [x, self.width, self.side], [self._cell], x.device)
         self._list.build()
+        launch(kn.sort_rows, self.side**3, [self.cells], device=x.device)
 
 
 class NeighborList:
@@ -134,7 +140,7 @@ class NeighborList:
         launch(
             kn.fill_neighbors,
             self.n,
-            [grid.cells, grid.width, x, source, self.radius, of_x, of_source, self.pick, self.stride],
+            [grid.cells, grid.width, grid.side, x, source, self.radius, of_x, of_source, self.pick, self.stride],
             [self.rows, self.wanted, self._most],
             self.device,
         )

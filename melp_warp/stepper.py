@@ -76,7 +76,10 @@ class Stepper:
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.steps = 0
         self.whole = film.device.is_cuda
-        self._stages = {name: self._record(name, run) for name, run in self._table().items()}
+        self._stages = {
+            name: Recorded(run, film.device, max(film.n_e, film.n_l if name in OF_L else 0), SHARED_ROWS)
+            for name, run in self._table().items()
+        }
         self._graph = Recorded(self._take, film.device)
         self.geometry.update()
 
@@ -98,14 +101,6 @@ class Stepper:
             "advance_l": self._advance_l if lagrangian else None,
         }
         return {name: run for name, run in table.items() if run is not None}
-
-    def _record(self, name: str, run: Callable[[], None]) -> Recorded:
-        def guarded() -> None:
-            run()
-            self._guard(name)
-
-        rows = max(self.film.n_e, self.film.n_l if name in OF_L else 0)
-        return Recorded(guarded, self.film.device, rows, least=SHARED_ROWS)
 
     def step(self, dt: float) -> None:
         """Advance the film by dt (s)."""
@@ -150,19 +145,23 @@ class Stepper:
     def _find_fields(self) -> None:
         self.fields.update()
         self.forces.update()
+        self._guard_e("l_to_e")
 
     def _solve_normal(self) -> None:
         self.membrane.solve(self.dt.array)  # (12), gas
+        self._guard_e("membrane")
 
     def _solve_tangential(self) -> None:
         self.tangential.solve(self.dt.array)  # (14), (15)
         if self.film.features.recoils:
             self.membrane.recoil(self.tangential.traction, self.dt.array)
+        self._guard_e("surfactant")
 
     def _scatter(self) -> None:
         dilation = self.tangential.find_dilation()
         self.transfer.e_to_l(dilation, self.dt.array)  # (16)-(18), (8)
         self.l_advance.find_velocity(self.state.e.x, self.start, self.dt.array)
+        self._guard_l("e_to_l")
 
     def _advance_e(self) -> None:
         foam, dt = self.film.features.foam, self.dt.array
@@ -176,25 +175,29 @@ class Stepper:
         if self.rim is not None:
             self.rim.extend()
         self.lists.record_e(self.e_advance.x_old, self.at_rest, dt)
+        self._guard_e("advance_e")
 
     def _find_geometry(self) -> None:
         self.lists.update_e()
         self.geometry.update()  # (9), (10), (11)
         if self.film.features.closed:
             self.membrane.close_volume()
+        self._guard_e("geometry")
 
     def _advance_l(self) -> None:
         self.l_advance.advance(self.frame, self.state.motion, self.dt.array)  # Algorithm 7
         self.lists.record_l(self.at_rest, self.dt.array)
+        self._guard_l("advance_l")
 
-    def _guard(self, name: str) -> None:
-        """Note on the device the first stage that leaves a number that is not finite."""
-        number = STAGES.index(name) + 1
-        e, lagrangian = self.state.e, self.state.l
-        if name in ("e_to_l", "advance_l"):
-            launch(kd.find_broken, self.film.n_l, [lagrangian.x, lagrangian.v, number], [self.broken], self.film.device)
-        elif name != "neighbors":
-            self.film.launch_e(kd.find_broken, [e.x, e.u, number], [self.broken])
+    def _guard_e(self, name: str) -> None:
+        """Note on the device the first stage that leaves a number of E that is not finite."""
+        e = self.state.e
+        self.film.launch_e(kd.find_broken, [e.x, e.u, STAGES.index(name) + 1], [self.broken])
+
+    def _guard_l(self, name: str) -> None:
+        """The same for L."""
+        lag = self.state.l
+        launch(kd.find_broken, self.film.n_l, [lag.x, lag.v, STAGES.index(name) + 1], [self.broken], self.film.device)
 
     def check(self) -> None:
         """Raise if a stage left a number that is not finite, a list overflowed or the gas collapsed (reads back).
