@@ -86,7 +86,7 @@ class CellGrid:
 
     def __init__(self, n: int, width: float, device):
         self.width = width
-        self.side = min(max(2 ** math.ceil(0.5 * math.log2(max(n, 1)) - 2.0), 16), 64)
+        self.side = min(max(2 ** math.ceil(math.log2(max(math.sqrt(n) / 5.0, 1.0))), 16), 64)
         points = fixed_rows(n, 1, device)
         points.stop.assign(np.arange(1, n + 1, dtype=np.int32))
         self._cell = points.index

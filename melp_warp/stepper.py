@@ -80,6 +80,7 @@ class Stepper:
             name: Recorded(run, film.device, max(film.n_e, film.n_l if name in OF_L else 0), SHARED_ROWS)
             for name, run in self._table().items()
         }
+        self._fields = Recorded(self._find_fields, film.device, film.n_e, SHARED_ROWS)
         self._graph = Recorded(self._take, film.device)
         self.geometry.update()
 
@@ -136,11 +137,11 @@ class Stepper:
 
     def _gather(self) -> None:
         self.transfer.l_to_e()  # (6), (7)
-        self._find_fields()
+        self._fields()
 
     def _keep(self) -> None:
         self.film.launch_e(kt.keep_normal_e, [self.state.e.normal], [self.state.e.u])
-        self._find_fields()
+        self._fields()
 
     def _find_fields(self) -> None:
         self.fields.update()
@@ -155,11 +156,11 @@ class Stepper:
         self.tangential.solve(self.dt.array)  # (14), (15)
         if self.film.features.recoils:
             self.membrane.recoil(self.tangential.traction, self.dt.array)
+        self.tangential.find_dilation()
         self._guard_e("surfactant")
 
     def _scatter(self) -> None:
-        dilation = self.tangential.find_dilation()
-        self.transfer.e_to_l(dilation, self.dt.array)  # (16)-(18), (8)
+        self.transfer.e_to_l(self.tangential.dilation, self.dt.array)  # (16)-(18), (8)
         self.l_advance.find_velocity(self.state.e.x, self.start, self.dt.array)
         self._guard_l("e_to_l")
 
