@@ -9,13 +9,14 @@ import pytest
 import warp as wp
 
 from melp_warp import launch, limits, neighbors, stepper
-from melp_warp.cluster import Bubble, Cluster
+from melp_warp.cluster import Bubble, Cluster, Pop
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
 from melp_warp.settings import Reading, Setting
 from melp_warp.shapes import Disc, Sphere, StarShaped
 from melp_warp.simulation import Simulation
+from melp_warp.stepper import Stepper
 
 R = 0.05
 MODES = ("launches", "stages", "whole")
@@ -184,9 +185,11 @@ def test_a_reading_may_lag(device):
     assert seen == [(1.0, 10.0), (1.0, 10.0), (2.0, 20.0), (3.0, 30.0), (4.0, 40.0)]
 
 
-def unwatched(simulation):
-    """Let it run as on a GPU: one graph a step, checks between frames alone, the step's size a step late."""
-    simulation.watched, simulation.stepper.whole = False, True
+def unwatched(scene, monkeypatch):
+    """A simulation that runs as on a GPU: one graph a step, checks between frames alone, its size a step late."""
+    monkeypatch.setattr(Stepper, "whole", property(lambda _: True, lambda *_: None), raising=False)
+    simulation = Simulation(scene)
+    simulation.watched = False
     simulation._travel._taken = deque(maxlen=2)
     return simulation
 
@@ -194,10 +197,12 @@ def unwatched(simulation):
 def test_frames_without_a_look(monkeypatch):
     """A frame of many steps reads back as often as one of few, and takes steps like those that are watched."""
     scene = Scene("graph", StarShaped(R, oval), 400, 0, material=Material(surfactant=0.0))
-    watched, simulation = Simulation(scene), unwatched(Simulation(scene))
-    reads, numpy = [], wp.array.numpy
+    watched = Simulation(scene)
     for _ in range(3):
         watched.advance_frame()
+    simulation = unwatched(scene, monkeypatch)
+    reads, numpy = [], wp.array.numpy
+    for _ in range(3):
         before = len(simulation.step_seconds)
         with monkeypatch.context() as patch:
             seen = []
@@ -211,13 +216,32 @@ def test_frames_without_a_look(monkeypatch):
     assert gas[1][4] == pytest.approx(gas[0][4], rel=1e-2)
 
 
-def test_an_unwatched_frame_that_goes_wrong_is_done_again():
+def test_a_step_is_captured_anew_where_regions_change(monkeypatch):
+    """A bubble pops in mid-frame: a graph before and one after, and the bits of a run that has none."""
+    shape = Cluster(row(3).bubbles, events=(Pop(0.012, 2),))
+    scene = Scene("graph", shape, 450, 2, numerics=Numerics(support=3.0), dt=1.0 / 960.0)
+    plain = Simulation(scene)
+    plain.advance_frame()
+    graphs, capture = [], wp.ScopedCapture
+    monkeypatch.setattr(wp, "ScopedCapture", lambda **options: graphs.append(capture(**options)) or graphs[-1])
+    simulation = unwatched(scene, monkeypatch)
+    graphs.clear()
+    simulation.advance_frame()
+    assert len(graphs) == 2
+    assert simulation.film.regions == 2
+    states = [s.state.numpy() for s in (plain, simulation)]
+    assert all(np.array_equal(states[1][key], states[0][key]) for key in states[0])
+
+
+def test_an_unwatched_frame_that_goes_wrong_is_done_again(monkeypatch):
     """Lists of a dumbbell overflow and E leap: frames end as they do where each step is checked at once, to the bit."""
     numerics = Numerics(support=3.0)
     scene = Scene("leap", limits.dumbbell(), 1000, 2, numerics=numerics, dt=1.0 / 120.0)
-    watched, simulation = Simulation(scene), unwatched(Simulation(scene))
+    watched = Simulation(scene)
     for _ in range(2):
         watched.advance_frame()
+    simulation = unwatched(scene, monkeypatch)
+    for _ in range(2):
         simulation.advance_frame()
     assert watched.diagnostics()["substeps"] > 2
     assert len(simulation.step_seconds) > len(watched.step_seconds)
