@@ -24,6 +24,18 @@ class Neighbors:
     first: int
 
 
+@wp.struct
+class Cells:
+    """Points by the cell they lie in: row c of `points` holds those in cell c of a grid that wraps around.
+
+    There are `side` cells each way, a power of two, of `width` (m). See `cells_around` for what is near a place.
+    """
+
+    points: Neighbors
+    width: float
+    side: int
+
+
 @wp.func
 def cell_coordinate(x: float) -> int:
     """Cell that a coordinate in cells lies in."""
@@ -37,19 +49,29 @@ def cell_number(x: int, y: int, z: int, side: int) -> int:
     return ((z & last) * side + (y & last)) * side + (x & last)
 
 
+@wp.func
+def cells_around(p: wp.vec3, radius: float, cells: Cells):
+    """First and last cell each way that reach within `radius` of p, no cell of the grid twice."""
+    inverse = 1.0 / cells.width
+    low = wp.vec3i()
+    high = wp.vec3i()
+    for a in range(3):
+        low[a] = cell_coordinate((p[a] - radius) * inverse)
+        high[a] = wp.min(cell_coordinate((p[a] + radius) * inverse), low[a] + cells.side - 1)
+    return low, high
+
+
 @wp.kernel
-def find_cell(x: wp.array(dtype=wp.vec3), width: float, side: int, cell: wp.array(dtype=wp.int32)):
-    """Cell of `width` (m) that each point lies in, of a grid of `side` cells each way. [n]."""
+def find_cell(x: wp.array(dtype=wp.vec3), cells: Cells, cell: wp.array(dtype=wp.int32)):
+    """Cell that each point lies in. [n]."""
     i = wp.tid()
-    p = x[i] * (1.0 / width)
-    cell[i] = cell_number(cell_coordinate(p[0]), cell_coordinate(p[1]), cell_coordinate(p[2]), side)
+    p = x[i] * (1.0 / cells.width)
+    cell[i] = cell_number(cell_coordinate(p[0]), cell_coordinate(p[1]), cell_coordinate(p[2]), cells.side)
 
 
 @wp.kernel
 def fill_neighbors(
-    cells: Neighbors,
-    width: float,
-    side: int,
+    cells: Cells,
     x: wp.array(dtype=wp.vec3),
     source: wp.array(dtype=wp.vec3),
     radius: float,
@@ -64,27 +86,22 @@ def fill_neighbors(
 ):
     """List the `source` points within `radius` of each x in rows of room `stride`, in one query.
 
-    `cells` are the source points in each cell, as `find_cell` has them. `wanted` is the length of the row asked for;
-    what is beyond `stride` is left out, and `most` remembers that. `pick` is SAME for points of the same set and region
-    but not the point itself, OTHER for those of other regions, and ALL for the same region of another set; a null
-    `region` stands for a single one. Row starts are set beforehand.
+    `cells` hold the source points. `wanted` is the length of the row asked for; what is beyond `stride` is left out,
+    and `most` remembers that. `pick` is SAME for points of the same set and region but not the point itself, OTHER for
+    those of other regions, and ALL for the same region of another set; a null `region` stands for a single one. Row
+    starts are set beforehand.
     """
     i = rows.first + wp.tid()
     p = x[i]
     first = rows.start[i]
     n = int(0)
-    inverse = 1.0 / width
-    low = wp.vec3i()
-    high = wp.vec3i()
-    for a in range(3):
-        low[a] = cell_coordinate((p[a] - radius) * inverse)
-        high[a] = wp.min(cell_coordinate((p[a] + radius) * inverse), low[a] + side - 1)
+    low, high = cells_around(p, radius, cells)
     for cz in range(low[2], high[2] + 1):
         for cy in range(low[1], high[1] + 1):
             for cx in range(low[0], high[0] + 1):
-                c = cell_number(cx, cy, cz, side)
-                for k in range(cells.start[c], cells.stop[c]):
-                    j = cells.index[k]
+                c = cell_number(cx, cy, cz, cells.side)
+                for k in range(cells.points.start[c], cells.points.stop[c]):
+                    j = cells.points.index[k]
                     if wp.length_sq(source[j] - p) <= radius * radius:
                         wanted_here = pick != SAME or j != i
                         if region:

@@ -77,27 +77,30 @@ class CellGrid:
     memory, which CUDA forbids there, and from one place for all grids, so that building one would spoil the graphs
     of others.
 
-    Attributes:
+    Args:
+        n: number of points. There are cells enough for a film of them that is laid out flat, as far as they are few to
+            go through.
         width: of a cell, m.
-        side: cells each way, a power of two: enough for a film that is laid out flat, as far as they are few to go
-            through.
-        cells: points in each cell.
+        device: where the points are.
+
+    Attributes:
+        cells: what kernels take.
     """
 
     def __init__(self, n: int, width: float, device):
-        self.width = width
-        self.side = min(max(2 ** math.ceil(math.log2(max(math.sqrt(n) / 5.0, 1.0))), 16), 64)
+        side = min(max(2 ** math.ceil(math.log2(max(math.sqrt(n) / 5.0, 1.0))), 16), 64)
         points = fixed_rows(n, 1, device)
         points.stop.assign(np.arange(1, n + 1, dtype=np.int32))
         self._cell = points.index
-        self._list = TransposedList(self.side**3, points)
-        self.cells = self._list.rows
+        self._list = TransposedList(side**3, points)
+        self.cells = kn.Cells()
+        self.cells.points, self.cells.width, self.cells.side = self._list.rows, width, side
 
     def build(self, x: wp.array) -> None:
         """Sort the points x [n] (m) into their cells."""
-        launch(kn.find_cell, x.shape[0], [x, self.width, self.side], [self._cell], x.device)
+        launch(kn.find_cell, x.shape[0], [x, self.cells], [self._cell], x.device)
         self._list.build()
-        launch(kn.sort_rows, self.side**3, [self.cells], device=x.device)
+        launch(kn.sort_rows, self._list.n, [self._list.rows], device=x.device)
 
 
 class NeighborList:
@@ -140,7 +143,7 @@ class NeighborList:
         launch(
             kn.fill_neighbors,
             self.n,
-            [grid.cells, grid.width, grid.side, x, source, self.radius, of_x, of_source, self.pick, self.stride],
+            [grid.cells, x, source, self.radius, of_x, of_source, self.pick, self.stride],
             [self.rows, self.wanted, self._most],
             self.device,
         )

@@ -84,7 +84,7 @@ def test_a_grid_wraps_around(reach, device):
     x = wp.array(points, dtype=wp.vec3, device=device)
     grid = CellGrid(len(points), 1.0, device)
     grid.build(x)
-    assert grid.side == 16
+    assert grid.cells.side == 16
     rows = NeighborList(grid, x, len(points), x, reach, kn.SAME).rows
     low, high = (near(points, points, reach * scale, same=True) for scale in (1.0 - 1e-6, 1.0 + 1e-6))
     for got, inside, around in zip(rows_as_sets(rows), low, high, strict=True):
