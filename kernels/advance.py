@@ -41,7 +41,7 @@ def advance_e(
     drift: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     x: wp.array(dtype=wp.vec3),
 ):
@@ -55,12 +55,12 @@ def advance_e(
         drift: [n_e] tangential E velocity, m/s.
         region: [n] region of each E.
         frame: [regions] velocity of each region as a whole, m/s.
-        dt: s.
+        dt: [1] s.
         x: [n] m.
     """
     i = wp.tid()
     n = normal[i]
-    x[i] = x[i] + dt * (u_mid[i] * n + tangential(drift[i] + frame[region[i]], n))
+    x[i] = x[i] + dt[0] * (u_mid[i] * n + tangential(drift[i] + frame[region[i]], n))
 
 
 @wp.kernel
@@ -76,7 +76,7 @@ def advance_l(
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
     end: wp.array(dtype=wp.vec3),
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     x: wp.array(dtype=wp.vec3),
 ):
@@ -86,7 +86,7 @@ def advance_l(
     `frame`. A midpoint scheme would otherwise leave the L of an accelerating bubble behind its E.
     """
     i = wp.tid()
-    x[i] = x[i] + dt * (v[i] + frame[region[i]] - end[region[i]])
+    x[i] = x[i] + dt[0] * (v[i] + frame[region[i]] - end[region[i]])
 
 
 @wp.kernel

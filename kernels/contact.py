@@ -275,7 +275,7 @@ def press_foam_e(
     own: Neighbors,
     contact: Contact,
     stride: int,
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     force: wp.array(dtype=wp.vec3),
     rest: wp.array(dtype=wp.vec3),
@@ -307,7 +307,7 @@ def press_foam_e(
         own: E of the same region.
         contact: constants.
         stride: room of a row.
-        dt: s.
+        dt: [1] s.
         force: [n_e] of sheets that move, N.
         rest: [n_e] of sheets at rest, with the menisci, N.
         foot: [n_e] menisci's force along their walls, N.
@@ -336,13 +336,13 @@ def press_foam_e(
             strength = 0.5 * (push[region[i]] + push[region[j]])
             both = 0.5 * (inertia + added[region[j]] + density * eta[j])
             near.cling = 0.5 * (free[i] + free[j]) * contact.cling
-            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, near, dt)
+            elastic, pressure, slope = press(gap, wp.dot(x[j] - p, along), strength, both, near, dt[0])
             a = area[i] * area[j] * w
             total -= (a * pressure) * along
             quiet -= (a * elastic) * along
             ci = wp.dot(along, n)
             cj = -wp.dot(along, m)
-            c = dt * dt * a * slope * ci
+            c = dt[0] * dt[0] * a * slope * ci
             stiff += c * (ci + cj)
             if k < room:
                 rows.index[k] = j
@@ -351,7 +351,7 @@ def press_foam_e(
     for w in range(contact.point.shape[0]):
         if wp.dot(contact.inward[w], at - contact.point[w]) < contact.reach:
             wall, quiet_wall, side, stiff_wall = press_wall(
-                i, x, predicted, normal, area, vector, push[region[i]], inertia, faced, own, w, contact, dt
+                i, x, predicted, normal, area, vector, push[region[i]], inertia, faced, own, w, contact, dt[0]
             )
             total += wall
             quiet += quiet_wall
@@ -361,7 +361,7 @@ def press_foam_e(
     rest[i] = rest[i] + quiet
     foot[i] = drawn
     diag[i] = stiff
-    wanted[i] = k - rows.start[i]
+    wanted[i] = wp.max(wanted[i], k - rows.start[i])
     rows.stop[i] = wp.min(k, room)
 
 

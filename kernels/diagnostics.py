@@ -118,7 +118,7 @@ def travel_chunks(
     v: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
-    dt: float,
+    dt: wp.array(dtype=float),
     n: int,
     # outputs
     part: wp.array(dtype=float),
@@ -129,7 +129,7 @@ def travel_chunks(
     far = float(0.0)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         far = wp.max(far, wp.length_sq(v[i] - frame[region[i]]))
-    part[c] = dt * wp.sqrt(far)
+    part[c] = dt[0] * wp.sqrt(far)
 
 
 @wp.kernel
@@ -138,7 +138,7 @@ def moved_chunks(
     x_old: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
-    dt: float,
+    dt: wp.array(dtype=float),
     n: int,
     # outputs
     part: wp.array(dtype=float),
@@ -148,5 +148,5 @@ def moved_chunks(
     size = (n + part.shape[0] - 1) // part.shape[0]
     far = float(0.0)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
-        far = wp.max(far, wp.length_sq(x[i] - x_old[i] - dt * frame[region[i]]))
+        far = wp.max(far, wp.length_sq(x[i] - x_old[i] - dt[0] * frame[region[i]]))
     part[c] = wp.sqrt(far)

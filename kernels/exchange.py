@@ -110,9 +110,9 @@ def exchange_l(
     gamma: wp.array(dtype=float),
     eta: wp.array(dtype=float),
     region: wp.array(dtype=wp.int32),
-    seed: int,
-    chance: float,
-    dt: float,
+    seed: wp.array(dtype=wp.int32),
+    chance: wp.array(dtype=float),
+    dt: wp.array(dtype=float),
     # outputs
     region_l: wp.array(dtype=wp.int32),
     eta_l: wp.array(dtype=float),
@@ -133,9 +133,9 @@ def exchange_l(
         gamma: [n_e] relative surfactant concentration.
         eta: [n_e] thickness, m.
         region: [n] region of each E.
-        seed: differs from call to call.
-        chance: psi_1 = psi_2, the largest value of each of the two.
-        dt: step that (27) looks ahead, s.
+        seed: [1] differs from call to call.
+        chance: [1] psi_1 = psi_2, the largest value of each of the two.
+        dt: [1] step that (27) looks ahead, s.
         region_l: [n_l] region of each L.
         eta_l: [n_l] m.
     """
@@ -147,10 +147,10 @@ def exchange_l(
         j = nearest_facing(p, normal[own], own, x, normal, facing, reach)
     if j >= 0:
         gap = wp.abs(wp.dot(p - x[j], normal[j]))
-        ahead = wp.abs(wp.dot(p + dt * v_l[i] - x[j], normal[j]))
+        ahead = wp.abs(wp.dot(p + dt[0] * v_l[i] - x[j], normal[j]))
         toward = 1.0 - wp.min(1.0, ahead / wp.max(gap, 1.0e-12))
         thinner = 1.0 - wp.min(1.0, gamma[j] / gamma[own])
-        draw = wp.randf(wp.rand_init(seed, number[i]))
-        if draw < chance * (toward + thinner):
+        draw = wp.randf(wp.rand_init(seed[0], number[i]))
+        if draw < chance[0] * (toward + thinner):
             region_l[i] = region[j]
             eta_l[i] = eta[j]

@@ -62,14 +62,14 @@ def predict_foam_e(
     normal: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     predicted: wp.array(dtype=wp.vec3),
 ):
     """Where E are at the end of the step with the velocity of its start: x + dt (u_n n + U_t). [n], m."""
     i = wp.tid()
     n = normal[i]
-    predicted[i] = x[i] + dt * (wp.dot(u[i], n) * n + tangential(frame[region[i]], n))
+    predicted[i] = x[i] + dt[0] * (wp.dot(u[i], n) * n + tangential(frame[region[i]], n))
 
 
 @wp.kernel
@@ -95,7 +95,7 @@ def swept_volume_chunks(
 def predict_gas_r(
     part: wp.array(dtype=wp.float64),
     p_atm: wp.float64,
-    dt: wp.float64,
+    dt: wp.array(dtype=float),
     # outputs
     gas: wp.array2d(dtype=wp.float64),
     stiff: wp.array(dtype=float),
@@ -106,7 +106,7 @@ def predict_gas_r(
     Args:
         part: from `swept_volume_chunks`.
         p_atm: Pa.
-        dt: s.
+        dt: [1] s.
         gas: gas slots.
         stiff: [regions] p/V, Pa/m^3.
         ahead: [regions] gauge pressure p - (p/V) dV, Pa.
@@ -115,21 +115,21 @@ def predict_gas_r(
     swept = region_total(part, g, gas.shape[0])
     slope = (p_atm + gas[g, GAUGE]) / gas[g, VOLUME]
     stiff[g] = float(slope)
-    ahead[g] = float(gas[g, GAUGE] - slope * dt * swept)
+    ahead[g] = float(gas[g, GAUGE] - slope * wp.float64(dt[0]) * swept)
 
 
 @wp.kernel
 def store_gas_r(
     part: wp.array(dtype=wp.float64),
     p_atm: wp.float64,
-    dt: wp.float64,
+    dt: wp.array(dtype=float),
     # outputs
     gas: wp.array2d(dtype=wp.float64),
 ):
     """Pressure at the end of the step, from the volume that its velocity sweeps."""
     g = wp.tid()
     swept = region_total(part, g, gas.shape[0])
-    q = -(p_atm + gas[g, GAUGE]) / gas[g, VOLUME] * dt * swept
+    q = -(p_atm + gas[g, GAUGE]) / gas[g, VOLUME] * wp.float64(dt[0]) * swept
     gas[g, INCREMENT] = q
     gas[g, GAUGE] = gas[g, GAUGE] + q
 
@@ -146,7 +146,7 @@ def pull_foam_e(
     slope: float,
     star: Neighbors,
     tie: wp.array(dtype=float),
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     force: wp.array(dtype=wp.vec3),
     rest: wp.array(dtype=wp.vec3),
@@ -168,7 +168,7 @@ def pull_foam_e(
         slope: R T Gamma_0, N/m.
         star: neighbours across the cell's edges.
         tie: [CORNERS n_e] their w_ij.
-        dt: s.
+        dt: [1] s.
         force: [n_e] of sheets that move, N.
         rest: [n_e] of sheets at rest, N.
         rows: coupled E, here those of the star.
@@ -186,10 +186,10 @@ def pull_foam_e(
         sigma = own - 0.5 * slope * (gamma[i] + gamma[j])
         c = sigma * (2.0 - 0.5 * (cover[i] + cover[j])) * tie[s]
         d = predicted[j] - at
-        pull += c * (d + lag / dt * (d - (x[j] - p)))
+        pull += c * (d + lag / dt[0] * (d - (x[j] - p)))
         quiet += c * d
         rows.index[k] = j
-        pair[k] = dt * (dt + lag) * c
+        pair[k] = dt[0] * (dt[0] + lag) * c
         k += 1
     rows.stop[i] = k
     force[i] = pull
@@ -201,14 +201,14 @@ def kick_foam_e(
     normal: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     fall: wp.array(dtype=wp.vec3),
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
     """Outside forces give each region a velocity dt `fall` before the solve, whose stiffness would resist. [n_e]."""
     i = wp.tid()
     n = normal[i]
-    u[i] = u[i] + dt * wp.dot(fall[region[i]], n) * n
+    u[i] = u[i] + dt[0] * wp.dot(fall[region[i]], n) * n
 
 
 @wp.kernel
@@ -225,7 +225,7 @@ def load_foam_e(
     damping: float,
     u: wp.array(dtype=wp.vec3),
     load: wp.array(dtype=float),
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     b: wp.array(dtype=float),
     diag: wp.array(dtype=float),
@@ -248,7 +248,7 @@ def load_foam_e(
         damping: rate at which the air takes up normal motion, 1/s.
         u: [n] m/s.
         load: [n_e] from `gather_load_e`, N.
-        dt: s.
+        dt: [1] s.
         b: [n_e] kg m/s.
         diag: [n_e] contact in, inertia added, kg.
         inertia: [n_e] mass with the air's and what damping adds, kg.
@@ -259,12 +259,12 @@ def load_foam_e(
     n = normal[i]
     g = region[i]
     m = mass[i] + added[g] * area[i]
-    slow = dt * damping * m
-    outer[i] = dt * (mass[i] * wp.dot(body[i], n) - m * wp.dot(fall[g], n)) - slow * wp.dot(u[i], n)
-    b[i] = outer[i] + dt * (load[i] + m * wp.dot(missing[g], n))
+    slow = dt[0] * damping * m
+    outer[i] = dt[0] * (mass[i] * wp.dot(body[i], n) - m * wp.dot(fall[g], n)) - slow * wp.dot(u[i], n)
+    b[i] = outer[i] + dt[0] * (load[i] + m * wp.dot(missing[g], n))
     inertia[i] = m + slow
     diag[i] = diag[i] + inertia[i]
-    sweep[i] = dt * wp.dot(vector[i], n)
+    sweep[i] = dt[0] * wp.dot(vector[i], n)
 
 
 @wp.kernel

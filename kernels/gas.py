@@ -24,8 +24,8 @@ def swept_chunks(
     change: wp.array(dtype=float),
     response: wp.array(dtype=float),
     frame: wp.array(dtype=wp.vec3),
-    theta: float,
-    dt: float,
+    theta: wp.array(dtype=float),
+    dt: wp.array(dtype=float),
     n: int,
     # outputs
     swept: wp.array(dtype=wp.vec3d),
@@ -39,8 +39,8 @@ def swept_chunks(
     total = wp.vec3d()
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         ni = normal[i]
-        d = dt * (wp.dot(u[i] - frame[0], ni) + theta * change[i])
-        e = dt * response[i]
+        d = dt[0] * (wp.dot(u[i] - frame[0], ni) + theta[0] * change[i])
+        e = dt[0] * response[i]
         a = area[i]
         half = 0.5 * kappa[i]
         total += wp.vec3d(

@@ -179,11 +179,11 @@ def start_scalars(
 
 
 @wp.kernel
-def set_alpha(pq: wp.array(dtype=float), scalar: wp.array(dtype=float)):
-    """alpha = (r, z)/(p, A p)."""
+def set_alpha(pq: wp.array(dtype=float), go: wp.array(dtype=int), scalar: wp.array(dtype=float)):
+    """alpha = (r, z)/(p, A p); 0, so that nothing changes, where iterations are counted off and `go` is 0 already."""
     value = total_of(pq)
     scalar[ALPHA_OLD] = scalar[ALPHA]
-    scalar[ALPHA] = wp.where(value > 0.0, scalar[RZ] / value, 0.0)
+    scalar[ALPHA] = wp.where(value > 0.0 and go[0] != 0, scalar[RZ] / value, 0.0)
 
 
 @wp.kernel
@@ -197,8 +197,11 @@ def set_beta(
 ):
     """beta = (r, z)_new/(r, z)_old and whether to go on. control = (tolerance, iterations).
 
-    The limit is taken `slack` times; 0 leaves the decision to another kernel.
+    The limit is taken `slack` times; 0 leaves the decision to another kernel. Where `go` is 0 already beta is 0.
     """
+    if go[0] == 0:
+        scalar[BETA] = 0.0
+        return
     value = total_of(rz)
     scalar[BETA] = wp.where(scalar[RZ] > 0.0, value / scalar[RZ], 0.0)
     scalar[RZ] = value
@@ -457,6 +460,9 @@ def unscale(x: wp.array(dtype=float), area: wp.array(dtype=float), y: wp.array(d
     y[i] = x[i] / wp.sqrt(area[i])
 
 
+VECTORS = {}
+"""Kernels for vectors of unknowns, by that for scalars: a graph on the CPU tells kernels apart by their names alone."""
+
 # The unknowns that the solver is used with: declared here, the module is compiled once, and can be ahead of time.
 for _kernel, _names in (
     (start_residual, ("x", "b", "r", "z", "p")),
@@ -467,8 +473,9 @@ for _kernel, _names in (
     (advance_direction, ("z", "p")),
     (sweep_jacobi, ("x", "b", "r", "z", "next_x")),
 ):
-    for _dtype in (wp.float32, wp.vec3):
-        wp.overload(_kernel, {_name: wp.array(dtype=_dtype) for _name in _names})
+    VECTORS[_kernel] = wp.Kernel(_kernel.func, key=f"{_kernel.key}_vec3")
+    for _typed, _dtype in ((_kernel, wp.float32), (VECTORS[_kernel], wp.vec3)):
+        wp.overload(_typed, {_name: wp.array(dtype=_dtype) for _name in _names})
 
 
 @wp.kernel

@@ -27,7 +27,7 @@ def seek_normals_e(
     rows: Neighbors,
     reach: float,
     bent: wp.array(dtype=float),
-    share: float,
+    share: wp.array(dtype=float),
     # outputs
     sought: wp.array(dtype=wp.vec3),
 ):
@@ -51,7 +51,7 @@ def seek_normals_e(
         rows: E:E neighbours.
         reach: m.
         bent: [regions] mean square turn of the normals from which they take up force.
-        share: how far l comes towards what it should be in this step, 0 to 1.
+        share: [1] how far l comes towards what it should be in this step, 0 to 1.
         sought: [n_e] l over the sum of weights, N m^2; in and out.
     """
     i = rows.first + wp.tid()
@@ -62,7 +62,7 @@ def seek_normals_e(
     for k in range(star.start[i], star.stop[i]):
         held = wp.max(held, cover[star.index[k]])
     if held == 0.0:
-        sought[i] = (1.0 - share) * sought[i]
+        sought[i] = (1.0 - share[0]) * sought[i]
         return
     total = kernel_w(0.0, reach)
     spread = total * wp.outer(n, n)
@@ -78,7 +78,7 @@ def seek_normals_e(
         axis = wp.vec3(axes[0, k], axes[1, k], axes[2, k])
         s = wp.max(turn[k], 0.0) / least
         found += (s * s * s / (1.0 + s * s * s * s) / least * wp.dot(axis, along)) * axis
-    sought[i] = sought[i] + share * (found / total - sought[i])
+    sought[i] = sought[i] + share[0] * (found / total - sought[i])
 
 
 @wp.kernel
@@ -278,7 +278,7 @@ def owe_r(
     gained: wp.array(dtype=wp.vec4),
     turned: wp.array(dtype=wp.vec3),
     middle: wp.array(dtype=wp.vec4),
-    share: float,
+    share: wp.array(dtype=float),
     # outputs
     owed: wp.array(dtype=wp.vec4),
     spin: wp.array(dtype=wp.vec3),
@@ -293,7 +293,7 @@ def owe_r(
         gained: from `gained_chunks`.
         turned: the same.
         middle: the same.
-        share: how much of what was owed has been paid in the last step, where others covered the region; elsewhere all.
+        share: [1] how much of what was owed has been paid in the last step, where others covered the region; elsewhere all.
         owed: momentum before a step's payment, kg m/s, and the area that others cover, m^2; in and out.
         spin: angular momentum about the region's centroid, kg m^2/s; in and out.
         place: centroid of the region's surface, m.
@@ -301,7 +301,7 @@ def owe_r(
     g = wp.tid()
     regions = owed.shape[0]
     old = owed[g]
-    left = wp.where(old[3] > 0.0, 1.0 - share, 0.0)
+    left = wp.where(old[3] > 0.0, 1.0 - share[0], 0.0)
     own = region_total(gained, g, regions)
     size = region_total(middle, g, regions)
     centre = wp.vec3(size[0], size[1], size[2]) / size[3]
@@ -320,7 +320,7 @@ def pay_debt_r(
     mass: wp.array(dtype=wp.mat33),
     touch: wp.array(dtype=wp.int32),
     contact: Contact,
-    share: float,
+    share: wp.array(dtype=float),
     # outputs
     recoil: wp.array(dtype=wp.vec3),
 ):
@@ -337,7 +337,7 @@ def pay_debt_r(
         mass: parts of the inertia, kg.
         touch: from `touch_chunks`.
         contact: constants.
-        share: how much of the debt is paid in a step.
+        share: [1] how much of the debt is paid in a step.
         recoil: [regions] velocity given back, m/s.
     """
     g = wp.tid()
@@ -369,5 +369,5 @@ def pay_debt_r(
         size = wp.trace(second)
         if size > 0.0:
             turn = wp.inverse((1.0 + ROUND) * wp.identity(3, float) - second / size) * around / size
-        net = share * own[3] * (momentum / covered - wp.cross(turn, middle))
+        net = share[0] * own[3] * (momentum / covered - wp.cross(turn, middle))
     recoil[g] = whole_velocity(region_total(mass, g, regions), along_walls(net, walls, contact))

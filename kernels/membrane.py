@@ -14,7 +14,7 @@ def predict_position_e(
     normal: wp.array(dtype=wp.vec3),
     frame: wp.array(dtype=wp.vec3),
     swelling: wp.array(dtype=float),
-    step: float,
+    step: wp.array(dtype=float),
     # outputs
     predicted: wp.array(dtype=wp.vec3),
 ):
@@ -25,7 +25,7 @@ def predict_position_e(
     """
     i = wp.tid()
     n = normal[i]
-    predicted[i] = x[i] + step * (wp.dot(u[i] - frame[0], n) - swelling[0]) * n
+    predicted[i] = x[i] + step[0] * (wp.dot(u[i] - frame[0], n) - swelling[0]) * n
 
 
 @wp.kernel
@@ -73,7 +73,7 @@ def load_membrane_e(
     area: wp.array(dtype=float),
     rigid: wp.array(dtype=wp.vec3),
     added: float,
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     b: wp.array(dtype=float),
     unit: wp.array(dtype=float),
@@ -93,7 +93,7 @@ def load_membrane_e(
         area: [n_e] m^2.
         rigid: from `rigid_motion`; zeros for an open film.
         added: as in `net_force_chunks`.
-        dt: s.
+        dt: [1] s.
         b: [n_e] load, kg m/s.
         unit: [n_e] load of a unit pressure.
         diag: [n_e] mass.
@@ -102,8 +102,8 @@ def load_membrane_e(
     n = normal[i]
     inside = force[i] - wp.dot(rigid[0], n)
     outside = external[i] + wp.dot(rigid[1], n) - (mass[i] / area[i] + added) * wp.dot(rigid[2], n)
-    b[i] = dt * area[i] * (inside + outside)
-    unit[i] = dt * area[i]
+    b[i] = dt[0] * area[i] * (inside + outside)
+    unit[i] = dt[0] * area[i]
     diag[i] = mass[i]
 
 
@@ -136,9 +136,9 @@ def apply_membrane_e(
     response: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
     rigid: wp.array(dtype=wp.vec3),
-    theta: float,
+    theta: wp.array(dtype=float),
     theta_whole: float,
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     u: wp.array(dtype=wp.vec3),
     u_mid: wp.array(dtype=float),
@@ -151,16 +151,16 @@ def apply_membrane_e(
         response: [n_e] change per unit pressure, m/s/Pa.
         gas: gas slots.
         rigid: see `rigid_motion`.
-        theta: 1 backward Euler, 1/2 midpoint; the pressure's share always counts in full.
+        theta: [1] 1 backward Euler, 1/2 midpoint; the pressure's share always counts in full.
         theta_whole: the same for the motion of the film as a whole.
-        dt: s.
+        dt: [1] s.
         u: [n] m/s.
         u_mid: [n_e] m/s.
     """
     i = wp.tid()
     n = normal[i]
     q = float(gas[0, INCREMENT])
-    whole = dt * wp.dot(rigid[2], n)
+    whole = dt[0] * wp.dot(rigid[2], n)
     push = q * response[i]
-    u_mid[i] = wp.dot(u[i], n) + theta * change[i] + theta_whole * whole + push
+    u_mid[i] = wp.dot(u[i], n) + theta[0] * change[i] + theta_whole * whole + push
     u[i] = u[i] + (change[i] + whole + push) * n

@@ -106,9 +106,9 @@ def blend_motion(
 
 
 @wp.kernel
-def push_motion(rigid: wp.array(dtype=wp.vec3), dt: float, motion: wp.array(dtype=wp.vec3)):
+def push_motion(rigid: wp.array(dtype=wp.vec3), dt: wp.array(dtype=float), motion: wp.array(dtype=wp.vec3)):
     """motion += dt times the acceleration of the film as a whole, rigid[2]."""
-    motion[0] = motion[0] + dt * rigid[2]
+    motion[0] = motion[0] + dt[0] * rigid[2]
 
 
 @wp.kernel
@@ -226,8 +226,8 @@ def recoil(
     inertia: wp.array(dtype=wp.mat33),
     net: wp.array(dtype=wp.vec3),
     added: float,
-    stiff: float,
-    dt: float,
+    stiff: wp.array(dtype=float),
+    dt: wp.array(dtype=float),
     # outputs
     kick: wp.array(dtype=wp.vec3),
     motion: wp.array(dtype=wp.vec3),
@@ -243,8 +243,8 @@ def recoil(
         inertia: parts of sum (m + added a) n n.
         net: parts of J/dt.
         added: mass per area of the air, kg/m^2.
-        stiff: implicit share w/(1 + w) of the lowest mode, w = (omega dt)^2.
-        dt: s.
+        stiff: [1] implicit share w/(1 + w) of the lowest mode, w = (omega dt)^2.
+        dt: [1] s.
         kick: [0] added to the surface, [1] taken from the liquid, m/s.
         motion: velocity of the film as a whole, m/s.
     """
@@ -257,9 +257,9 @@ def recoil(
         s2 += net[c]
     across = s1 - added * s0
     along = wp.trace(across) * wp.identity(n=3, dtype=float) - across
-    share = 1.0 / (1.0 + stiff * wp.trace(along) / wp.trace(s1))
-    kick[0] = -share * dt * (wp.inverse(s1) * s2)
-    kick[1] = (1.0 - share) * dt * (wp.inverse(along) * s2)
+    share = 1.0 / (1.0 + stiff[0] * wp.trace(along) / wp.trace(s1))
+    kick[0] = -share * dt[0] * (wp.inverse(s1) * s2)
+    kick[1] = (1.0 - share) * dt[0] * (wp.inverse(along) * s2)
     motion[0] = motion[0] + kick[0]
 
 

@@ -1,4 +1,4 @@
-"""Neighbour lists from a hash grid, stored as one index array with the start and stop of each row."""
+"""Neighbour lists from a grid of cells, stored as one index array with the start and stop of each row."""
 
 import warp as wp
 
@@ -24,9 +24,54 @@ class Neighbors:
     first: int
 
 
+@wp.struct
+class Cells:
+    """Points by the cell they lie in: row c of `points` holds those in cell c of a grid that wraps around.
+
+    There are `side` cells each way, a power of two, of `width` (m). See `cells_around` for what is near a place.
+    """
+
+    points: Neighbors
+    width: float
+    side: int
+
+
+@wp.func
+def cell_coordinate(x: float) -> int:
+    """Cell that a coordinate in cells lies in."""
+    return int(wp.floor(x))
+
+
+@wp.func
+def cell_number(x: int, y: int, z: int, side: int) -> int:
+    """Number of a cell in a grid that wraps around after `side` cells, a power of two, each way."""
+    last = side - 1
+    return ((z & last) * side + (y & last)) * side + (x & last)
+
+
+@wp.func
+def cells_around(p: wp.vec3, radius: float, cells: Cells):
+    """First and last cell each way that reach within `radius` of p, no cell of the grid twice."""
+    inverse = 1.0 / cells.width
+    low = wp.vec3i()
+    high = wp.vec3i()
+    for a in range(3):
+        low[a] = cell_coordinate((p[a] - radius) * inverse)
+        high[a] = wp.min(cell_coordinate((p[a] + radius) * inverse), low[a] + cells.side - 1)
+    return low, high
+
+
+@wp.kernel
+def find_cell(x: wp.array(dtype=wp.vec3), cells: Cells, cell: wp.array(dtype=wp.int32)):
+    """Cell that each point lies in. [n]."""
+    i = wp.tid()
+    p = x[i] * (1.0 / cells.width)
+    cell[i] = cell_number(cell_coordinate(p[0]), cell_coordinate(p[1]), cell_coordinate(p[2]), cells.side)
+
+
 @wp.kernel
 def fill_neighbors(
-    grid: wp.uint64,
+    cells: Cells,
     x: wp.array(dtype=wp.vec3),
     source: wp.array(dtype=wp.vec3),
     radius: float,
@@ -37,27 +82,38 @@ def fill_neighbors(
     # outputs
     rows: Neighbors,
     wanted: wp.array(dtype=wp.int32),
+    most: wp.array(dtype=wp.int32),
 ):
     """List the `source` points within `radius` of each x in rows of room `stride`, in one query.
 
-    `wanted` is the length of the row asked for; what is beyond `stride` is left out. `pick` is SAME for
-    points of the same set and region but not the point itself, OTHER for those of other regions, and ALL for the same
-    region of another set; a null `region` stands for a single one. Row starts are set beforehand.
+    `cells` hold the source points. `wanted` is the length of the row asked for; what is beyond `stride` is left out,
+    and `most` remembers that. `pick` is SAME for points of the same set and region but not the point itself, OTHER for
+    those of other regions, and ALL for the same region of another set; a null `region` stands for a single one. Row
+    starts are set beforehand.
     """
     i = rows.first + wp.tid()
     p = x[i]
     first = rows.start[i]
     n = int(0)
-    for j in wp.hash_grid_query(grid, p, radius):
-        wanted_here = pick != SAME or j != i
-        if region:
-            wanted_here = wanted_here and (region[j] == region_x[i]) != (pick == OTHER)
-        if wanted_here and wp.length_sq(source[j] - p) <= radius * radius:
-            if n < stride:
-                rows.index[first + n] = j
-            n += 1
+    low, high = cells_around(p, radius, cells)
+    for cz in range(low[2], high[2] + 1):
+        for cy in range(low[1], high[1] + 1):
+            for cx in range(low[0], high[0] + 1):
+                c = cell_number(cx, cy, cz, cells.side)
+                for k in range(cells.points.start[c], cells.points.stop[c]):
+                    j = cells.points.index[k]
+                    if wp.length_sq(source[j] - p) <= radius * radius:
+                        wanted_here = pick != SAME or j != i
+                        if region:
+                            wanted_here = wanted_here and (region[j] == region_x[i]) != (pick == OTHER)
+                        if wanted_here:
+                            if n < stride:
+                                rows.index[first + n] = j
+                            n += 1
     rows.stop[i] = first + wp.min(n, stride)
     wanted[i] = n
+    if n > stride:
+        wp.atomic_max(most, 0, n)
 
 
 @wp.kernel
@@ -130,8 +186,17 @@ def count_columns(rows: Neighbors, limit: int, count: wp.array(dtype=wp.int32)):
 
 
 @wp.kernel
+def open_columns(count: wp.array(dtype=wp.int32), taken: wp.array(dtype=wp.int32), columns: Neighbors):
+    """Give each column room for `count` entries; `taken` starts at 0 and counts the room given."""
+    i = wp.tid()
+    start = wp.atomic_add(taken, 0, count[i])
+    columns.start[i] = start
+    columns.stop[i] = start
+
+
+@wp.kernel
 def transpose_rows(rows: Neighbors, limit: int, columns: Neighbors):
-    """Write the transposed list; columns.stop starts as a copy of columns.start. There is room for every entry."""
+    """Write the transposed list into columns that are empty and have room for every entry."""
     i = wp.tid()
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
@@ -140,9 +205,49 @@ def transpose_rows(rows: Neighbors, limit: int, columns: Neighbors):
 
 
 @wp.kernel
-def reset_travel(which: int, travel: wp.array(dtype=float)):
-    """Forget the distance moved before list `which` was built."""
+def sort_rows(rows: Neighbors):
+    """Put short rows in order: on a GPU they are filled in any."""
+    i = rows.first + wp.tid()
+    start = rows.start[i]
+    for k in range(start + 1, rows.stop[i]):
+        j = rows.index[k]
+        place = int(k)
+        while place > start and rows.index[place - 1] > j:
+            rows.index[place] = rows.index[place - 1]
+            place -= 1
+        rows.index[place] = j
+
+
+@wp.kernel
+def find_stale_e(skin: float, travel: wp.array(dtype=float), stale: wp.array(dtype=wp.int32)):
+    """Whether pairs of E could be missing: two may have closed in by twice the way of one."""
+    stale[0] = wp.where(2.0 * travel[0] > skin, 1, 0)
+
+
+@wp.kernel
+def find_stale_l(skin: float, travel: wp.array(dtype=float), stale: wp.array(dtype=wp.int32)):
+    """Whether pairs of E and L could be missing before a step ends that is up to half as long again as the last one."""
+    stale[0] = wp.where(travel[1] + 1.5 * (travel[2] + travel[3]) > skin, 1, 0)
+
+
+@wp.kernel
+def forget_leaps(travel: wp.array(dtype=float)):
+    """Forget the largest distances moved in a step so far."""
+    travel[4] = 0.0
+    travel[5] = 0.0
+
+
+@wp.kernel
+def expire_travel(travel: wp.array(dtype=float)):
+    """Make the lists between E and L stale, whatever moved."""
+    travel[1] = 1.0e30
+
+
+@wp.kernel
+def count_build(which: int, travel: wp.array(dtype=float), builds: wp.array(dtype=wp.int32)):
+    """Count a build of list `which` and forget the distance moved before it."""
     travel[which] = 0.0
+    builds[which] = builds[which] + 1
 
 
 @wp.kernel
@@ -152,6 +257,7 @@ def add_travel(part: wp.array(dtype=float), slot: int, travel: wp.array(dtype=fl
     for c in range(part.shape[0]):
         far = wp.max(far, part[c])
     travel[slot] = far
+    travel[slot + 2] = wp.max(travel[slot + 2], far)
     travel[1] = travel[1] + far
     if slot == 2:
         travel[0] = travel[0] + far

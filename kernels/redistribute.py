@@ -82,7 +82,7 @@ def shift_e(
     strength: float,
     spacing: float,
     limit: float,
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     x_new: wp.array(dtype=wp.vec3),
     u_new: wp.array(dtype=wp.vec3),
@@ -106,7 +106,7 @@ def shift_e(
         strength: beta, 0 to 1.
         spacing: of the E, m.
         limit: largest shift, m; up to four times as much where the E are so uneven that their spread is above 1.
-        dt: s.
+        dt: [1] s.
         x_new: [n_e] m.
         u_new: [n_e] velocity at the place moved to, m/s.
         drift_new: [n_e] drift with the shift's own velocity added (Algorithm 5, line 13), m/s.
@@ -125,10 +125,10 @@ def shift_e(
     if size > most:
         shift = shift * (most / size)
     x_new[i] = x[i] + shift + wp.dot(shift, surface[i].second * shift) * n
-    moved = shift + dt * drift[i]
+    moved = shift + dt[0] * drift[i]
     ui = u[i]
     change = wp.vec3()
     for k in range(rows.start[i], rows.stop[i]):
         change += wp.dot(gradient[k], moved) * (u[rows.index[k]] - ui)
     u_new[i] = ui + change
-    drift_new[i] = drift[i] + shift / dt
+    drift_new[i] = drift[i] + shift / dt[0]

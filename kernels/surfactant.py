@@ -78,7 +78,7 @@ def assemble_surfactant_e(
     n_e: int,
     stiffness: float,
     body: wp.array(dtype=wp.vec3),
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     diag: wp.array(dtype=float),
     pair: wp.array(dtype=float),
@@ -101,7 +101,7 @@ def assemble_surfactant_e(
         n_e: number of E.
         stiffness: 2 R T Gamma_0/rho, m^3/s^2.
         body: [n_e] acceleration by outside forces, m/s^2.
-        dt: s.
+        dt: [1] s.
         diag: [n_e].
         pair: [pairs].
         b: [n_e].
@@ -115,11 +115,11 @@ def assemble_surfactant_e(
         c = float(0.0)
         if j < n_e:
             w = weight[k]
-            c = dt * w * stiffness / log_mean(eta[i], eta[j])
+            c = dt[0] * w * stiffness / log_mean(eta[i], eta[j])
             load += w * 0.5 * wp.dot(body[i] + body[j], x[j] - p)
         pair[k] = c
-    diag[i] = area[i] / (dt * gamma[i])
-    b[i] = area[i] * (1.0 / dt - dilation[i]) - dt * load
+    diag[i] = area[i] / (dt[0] * gamma[i])
+    b[i] = area[i] * (1.0 / dt[0] - dilation[i]) - dt[0] * load
     start[i] = gamma[i]
 
 
@@ -136,7 +136,7 @@ def accelerate_tangential_e(
     body: wp.array(dtype=wp.vec3),
     drag: float,
     density: float,
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     u: wp.array(dtype=wp.vec3),
     traction: wp.array(dtype=wp.vec3),
@@ -157,7 +157,7 @@ def accelerate_tangential_e(
         body: [n_e] acceleration by outside forces, m/s^2.
         drag: traction per speed, Pa s/m, taken implicitly.
         density: kg/m^3.
-        dt: s.
+        dt: [1] s.
         u: [n] m/s.
         traction: [n_e] tangential force of uneven tension, 2 grad_s sigma, Pa; null where nobody asks.
     """
@@ -178,7 +178,7 @@ def accelerate_tangential_e(
         traction[i] = m * tangential(spread, n)
     v = u[i]
     un = wp.dot(v, n)
-    ut = tangential(v + dt * fall, n) / (1.0 + dt * drag / m)
+    ut = tangential(v + dt[0] * fall, n) / (1.0 + dt[0] * drag / m)
     u[i] = ut + un * n
 
 
@@ -192,7 +192,7 @@ def assemble_viscosity_e(
     n_e: int,
     viscosity: float,
     u: wp.array(dtype=wp.vec3),
-    dt: float,
+    dt: wp.array(dtype=float),
     # outputs
     diag: wp.array(dtype=float),
     pair: wp.array(dtype=float),
@@ -210,7 +210,7 @@ def assemble_viscosity_e(
         n_e: number of E.
         viscosity: nu, m^2/s.
         u: [n] m/s.
-        dt: s.
+        dt: [1] s.
         diag: [n_e].
         pair: [pairs].
         b: [n_e].
@@ -222,7 +222,7 @@ def assemble_viscosity_e(
         j = rows.index[k]
         c = float(0.0)
         if j < n_e:
-            c = dt * viscosity * 0.5 * (mi + mass[j] / area[j]) * weight[k]
+            c = dt[0] * viscosity * 0.5 * (mi + mass[j] / area[j]) * weight[k]
         pair[k] = c
     ut = tangential(u[i], normal[i])
     diag[i] = mass[i]

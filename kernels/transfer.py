@@ -268,8 +268,8 @@ def thickness_growth_e(
     dilation: wp.array(dtype=float),
     claim: wp.array(dtype=float),
     area: wp.array(dtype=float),
-    dt: float,
-    rate: float,
+    dt: wp.array(dtype=float),
+    rate: wp.array(dtype=float),
     slack: float,
     most: float,
     # outputs
@@ -285,8 +285,8 @@ def thickness_growth_e(
         dilation: [n_e] div_s u, 1/s.
         claim: [n_e] claimed area, m^2.
         area: [n_e] control area, m^2.
-        dt: s.
-        rate: share of the mismatch mended in this step, 0 to 1.
+        dt: [1] s.
+        rate: [1] share of the mismatch mended in this step, 0 to 1.
         slack: relative mismatch that is left alone: mending the noise of single E would sharpen it step by step.
         most: relative mismatch beyond which it is mended at once.
         growth: [n_e].
@@ -296,8 +296,8 @@ def thickness_growth_e(
     if claim[i] > 0.0:
         mismatch = wp.log(claim[i] / area[i])
         near = wp.clamp(mismatch, -most, most)
-        mended = rate * (near - wp.clamp(near, -slack, slack)) + mismatch - near
-    growth[i] = mended - dt * dilation[i]
+        mended = rate[0] * (near - wp.clamp(near, -slack, slack)) + mismatch - near
+    growth[i] = mended - dt[0] * dilation[i]
 
 
 @wp.kernel
@@ -308,7 +308,7 @@ def interpolate_velocity_l(
     normal_l: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
-    half_dt: float,
+    dt: wp.array(dtype=float),
     x_e: wp.array(dtype=wp.vec3),
     u_e: wp.array(dtype=wp.vec3),
     rows: Neighbors,
@@ -322,7 +322,7 @@ def interpolate_velocity_l(
     The path is that along the film and relative to the film as a whole: E have not moved yet.
     """
     i = rows.first + wp.tid()
-    p = x_l[i] + half_dt * tangential(v_l[i] - frame[region[i]], normal_l[i])
+    p = x_l[i] + 0.5 * dt[0] * tangential(v_l[i] - frame[region[i]], normal_l[i])
     total = float(0.0)
     first = wp.vec3()
     velocity = wp.vec3()

@@ -36,7 +36,7 @@ class EulerianAdvance:
         self._smoothed = film.zeros(film.n_e, wp.vec3)
         self._near = film.zeros(lists.ee.rows.index.shape[0])
 
-    def advance(self, u_mid: wp.array, frame: wp.array, dt: float) -> None:
+    def advance(self, u_mid: wp.array, frame: wp.array, dt: wp.array) -> None:
         """Move E with the normal velocity, their drift and the film as a whole (19)."""
         film, e = self.film, self.state.e
         wp.copy(self.x_old, e.x)
@@ -64,7 +64,7 @@ class Redistribution:
         self._part = film.parts(wp.vec4)
         self._x, self._u, self._drift = (film.zeros(film.n_e, wp.vec3) for _ in range(3))
 
-    def apply(self, dt: float) -> None:
+    def apply(self, dt: wp.array) -> None:
         """Shift E once towards even density; nothing moves where the spread is below the scene's threshold."""
         film, e, geometry, rows = self.film, self.state.e, self.geometry, self.lists.ee.rows
         geometry.update_density()
@@ -98,17 +98,21 @@ class Redistribution:
 
 
 class LagrangianAdvance:
-    """Motion of L with the material, kept on the surface. Made only for films with L."""
+    """Motion of L with the material, kept on the surface. Made only for films with L.
+
+    Attributes:
+        velocity: [n_l] velocity to advance with, m/s: that at the particle, or half a step ahead.
+    """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
-        self._v_mid = film.zeros(film.n_l, wp.vec3) if film.numerics.l_order == 2 else None
+        self.velocity = film.zeros(film.n_l, wp.vec3) if film.numerics.l_order == 2 else state.l.v
 
-    def find_velocity(self, x_e: wp.array, frame: wp.array, dt: float) -> wp.array:
-        """Velocity to advance with: that at the particle, or half a step ahead. [n_l], m/s."""
+    def find_velocity(self, x_e: wp.array, frame: wp.array, dt: wp.array) -> None:
+        """Find `velocity` for a step dt, E still at x_e."""
         film, lag = self.film, self.state.l
-        if self._v_mid is None:
-            return lag.v
+        if self.velocity is lag.v:
+            return
         film.launch_l(
             kt.interpolate_velocity_l,
             [
@@ -118,21 +122,20 @@ class LagrangianAdvance:
                 lag.normal,
                 lag.region,
                 frame,
-                0.5 * dt,
+                dt,
                 x_e,
                 self.state.e.u,
                 self.lists.le.rows,
                 film.r,
                 film.n_e,
             ],
-            [self._v_mid],
+            [self.velocity],
         )
-        return self._v_mid
 
-    def advance(self, v: wp.array, frame: wp.array, end: wp.array, dt: float) -> None:
-        """Move L by dt (v + frame - end), project them onto the surface and keep them inside the rim (Algorithm 7)."""
+    def advance(self, frame: wp.array, end: wp.array, dt: wp.array) -> None:
+        """Move L by dt (velocity + frame - end), put them onto the surface, keep them inside the rim (Algorithm 7)."""
         film, lag = self.film, self.state.l
-        film.launch_l(ka.advance_l, [v, lag.region, frame, end, dt], [lag.x])
+        film.launch_l(ka.advance_l, [self.velocity, lag.region, frame, end, dt], [lag.x])
         if film.features.moving:
             self.project()
         if film.rim is not None:

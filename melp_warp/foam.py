@@ -27,6 +27,7 @@ from melp_warp.launch import Shared
 from melp_warp.linear import GasConjugateGradient, LinearOperator
 from melp_warp.membrane import close_volume
 from melp_warp.neighbors import NeighborLists, check_room, fixed_rows
+from melp_warp.settings import Setting
 from melp_warp.state import State
 from melp_warp.surfactant import Fields
 
@@ -71,32 +72,42 @@ class Exchange:
     """L that cross between films that touch (section 5.5). Made only where a scene asks for it.
 
     They cross before the first step that ends `EXCHANGE_INTERVAL` or more after the last exchange.
+
+    Attributes:
+        due: [1] whether L cross before the step to come.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, fields: Fields):
         self.film, self.state, self.lists, self.fields = film, state, lists, fields
         self._number = wp.array(np.arange(film.n_l, dtype=np.int32), device=film.device)
         self._last = state.time
+        self.due, self._seed = (Setting(film.device, wp.int32) for _ in range(2))
+        self._chance = Setting(film.device)
 
-    def due(self, dt: float) -> bool:
-        """Whether L should cross before a step of dt (s)."""
-        return self.state.time + dt - self._last > EXCHANGE_INTERVAL
+    def prepare(self, dt: float) -> None:
+        """Set whether and how many L cross before a step of dt (s)."""
+        film, end = self.film, self.state.time + dt
+        due = end - self._last > EXCHANGE_INTERVAL
+        self.due.at(int(due))
+        self._chance.at(-math.expm1(-film.numerics.exchange * (end - self._last)) if due else 0.0)
+        if due:
+            self._last = end
+            self._seed.at(film.seed + round(240.0 * end))
 
-    def apply(self, dt: float) -> None:
-        """Let L cross; lists between E and L are to be rebuilt afterwards."""
+    def apply(self, dt: wp.array) -> None:
+        """Let L cross and their lists be rebuilt."""
         film, e, lag = self.film, self.state.e, self.state.l
-        chance = -math.expm1(-film.numerics.exchange * (self.state.time + dt - self._last))
-        self._last = self.state.time + dt
         film.launch_l(
             kx.exchange_l,
             [
                 *(lag.x, lag.v, self.lists.le.rows, self._number),
                 *map(Shared, (e.x, e.normal, self.lists.eo.rows)),
                 *(PARTNER_REACH * film.spacing, *map(Shared, (self.fields.gamma, self.fields.eta, e.region))),
-                *(film.seed + round(240.0 * self._last), chance, dt),
+                *(self._seed.array, self._chance.array, dt),
             ],
             [lag.region, lag.eta],
         )
+        self.lists.expire_l()
 
 
 class FoamMembrane:
@@ -107,7 +118,7 @@ class FoamMembrane:
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [regions] velocity of each region as a whole in the step, m/s: that of `State.motion`.
         frame: the same.
-        wanted: [n_e] length that each row of the matrix needs.
+        wanted: [n_e] length that each row of the matrix has needed at most.
         added: [regions] mass of the air that moves along, kg/m^2.
         bent: [regions] turn of normals that counts as a bend.
     """
@@ -150,7 +161,7 @@ class FoamMembrane:
         self._gained, self._middle = film.parts(wp.vec4), film.parts(wp.vec4)
         self._swept = film.parts(wp.float64)
         self._near = wp.zeros((self._touch.shape[0], film.regions), dtype=wp.int32, device=film.device)
-        self._fresh = True
+        self._fresh, self._share = True, Setting(film.device)
 
     def start_motion(self) -> None:
         """Take the air's mass from the volumes and the translations from the velocities, at the start of a run."""
@@ -170,9 +181,10 @@ class FoamMembrane:
         """Step in which what moves along bent sheets is still followed, s: two times of a wave across a spacing."""
         return 2.0 * self.contact.lag
 
-    def _patience(self, dt: float) -> float:
-        """Share of what is passed on late that is passed on in a step; all of it in the first."""
-        return 1.0 if self._fresh else -math.expm1(-dt / (PATIENCE * self.contact.lag))
+    def prepare(self, dt: float) -> None:
+        """Set the share of what is passed on late that is passed on in a step of dt (s); all of it in the first."""
+        self._share.at(1.0 if self._fresh else -math.expm1(-dt / (PATIENCE * self.contact.lag)))
+        self._fresh = False
 
     def find_contacts(self, x: wp.array) -> None:
         """What is covered by other regions and walls with E at x."""
@@ -210,7 +222,7 @@ class FoamMembrane:
         """Raise if an E pressed on more than there is room for (reads back)."""
         check_room(self.wanted, self._stride, "contact")
 
-    def solve(self, dt: float) -> None:
+    def solve(self, dt: wp.array) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
         film, e = self.film, self.state.e
         self._find_motion(self._found)
@@ -224,10 +236,9 @@ class FoamMembrane:
         film.launch_regions(kf.predict_gas_r, [self._swept, pressure, dt], [self.state.gas, solver.stiff, self.ahead])
         self._assemble(dt)
         solver.solve()
-        self._pay_debt(dt)
+        self._pay_debt()
         film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self._recoil], [e.u, self.u_mid])
         self._find_motion(self.state.motion)
-        self._fresh = False
         self._sweep()
         film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
 
@@ -253,7 +264,7 @@ class FoamMembrane:
         )
         film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [motion])
 
-    def _fall_freely(self, dt: float) -> None:
+    def _fall_freely(self, dt: wp.array) -> None:
         """What outside forces do to each region as a whole."""
         film, e = self.film, self.state.e
         arrays = [e.normal, e.mass, self.geometry.area, self.forces.body, self._bare, film.first]
@@ -261,17 +272,16 @@ class FoamMembrane:
         film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._fall])
         film.launch_e(kf.kick_foam_e, [e.normal, e.region, self._fall, dt], [e.u])
 
-    def _pay_debt(self, dt: float) -> None:
+    def _pay_debt(self) -> None:
         """Momentum and angular momentum that the foam gave itself in the solve, back to where they came from."""
         film, e = self.film, self.state.e
         arrays = [e.x, e.normal, self.geometry.area, self._faced, self._outer, self._mass, self.response.x, film.first]
         parts, debt = [self._gained, self._turned, self._middle], [self._owed, self._spin, self._place]
         film.launch_parts(kl.gained_chunks, arrays, parts)
-        share = self._patience(dt)
-        film.launch_regions(kl.owe_r, [*parts, share], debt)
+        film.launch_regions(kl.owe_r, [*parts, self._share.array], debt)
         self._find_clusters()
-        wall = [self._touch, self.contact]
-        film.launch_regions(kl.pay_debt_r, [*debt, self._cluster, self._inertia, *wall, share], [self._recoil])
+        wall = [self._touch, self.contact, self._share.array]
+        film.launch_regions(kl.pay_debt_r, [*debt, self._cluster, self._inertia, *wall], [self._recoil])
 
     def _find_clusters(self) -> None:
         """Number of each region's cluster: those that are near each other, and those near them, and so on."""
@@ -287,7 +297,7 @@ class FoamMembrane:
         film, e = self.film, self.state.e
         film.launch_parts(kf.swept_volume_chunks, [e.u, e.normal, self.geometry.vector, film.first], [self._swept])
 
-    def _assemble(self, dt: float) -> None:
+    def _assemble(self, dt: wp.array) -> None:
         film, e, geometry, operator = self.film, self.state.e, self.geometry, self.response.operator
         film.launch_regions(kc.set_push_r, [self.state.gas, self.contact], [self.push])
         film.launch_e(
@@ -313,7 +323,7 @@ class FoamMembrane:
             kl.seek_normals_e,
             [
                 *(e.x, e.normal, vector, e.region, self.ahead, self._rest, self.cover, geometry.star, ee, film.r),
-                *(self.bent, self._patience(dt)),
+                *(self.bent, self._share.array),
             ],
             [self._sought],
         )

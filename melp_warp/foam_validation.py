@@ -197,7 +197,7 @@ def static_double_bubble(e_per_bubble: int = 1000, angle: float = PLATEAU, radiu
     _, stepper = resume(scene, stored, (0, 1), spacing, simulation.device)
     membrane, e = stepper.membrane, stepper.state.e
     dt = 1.0 / 240.0
-    membrane.solve(dt)
+    membrane.solve(stepper.prepare(dt))
     x, n = e.x.numpy().astype(np.float64), e.normal.numpy().astype(np.float64)
     force = membrane.response.b.numpy().astype(np.float64) / dt
     rho = np.hypot(x[:, 1], x[:, 2])

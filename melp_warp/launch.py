@@ -1,4 +1,4 @@
-"""The one place from which kernels are launched."""
+"""The one place from which kernels are launched and graphs captured."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
+from weakref import WeakMethod
 
 import warp as wp
 
@@ -25,6 +26,9 @@ ENTRIES_A_THREAD = 16384
 
 ALONE_ROWS = 12000
 """Rows of neighbours from which a sequence gains more from cores than from being captured."""
+
+GRAPHS = os.environ.get("MELP_WARP_GRAPHS", "1") != "0"
+"""Whether sequences are captured at all. Results do not depend on it."""
 
 CPU_BLOCK = 1
 """Threads of a block on the CPU, part of what a module is compiled for."""
@@ -144,27 +148,69 @@ def compile_kernels(names: Iterable[str], device) -> None:
     wp.force_load(device, modules, max_workers=THREADS)
 
 
+def repeat(go: wp.array, body: Callable[[], None], most: int) -> None:
+    """Launch a sequence again and again while `go[0]` is not 0, without the host looking where it is captured.
+
+    Args:
+        go: [1] int32, which the sequence itself sets to 0.
+        body: launches the sequence; running it with `go[0]` at 0 must change nothing.
+        most: times that it is run on a GPU whose driver has no conditional parts of graphs.
+    """
+    if _decides(go.device):
+        wp.capture_while(go, body)
+    else:
+        for _ in range(most):
+            body()
+
+
+def when(flag: wp.array, body: Callable[[], None]) -> None:
+    """Launch a sequence where `flag[0]` is not 0, without the host looking where it is captured.
+
+    On CUDA nothing in the sequence may allocate or copy from the host: kernels, `zero_` and copies on the device alone.
+
+    Args:
+        flag: [1] int32.
+        body: launches the sequence; it must do no harm where it is not asked for, as then it is run always on a GPU
+            whose driver has no conditional parts of graphs.
+    """
+    if _decides(flag.device):
+        wp.capture_if(flag, on_true=body)
+    else:
+        body()
+
+
+def _decides(device) -> bool:
+    """Whether parts of a graph can depend on what is on the device."""
+    return not device.is_cuda or wp.is_conditional_graph_supported()
+
+
 class Recorded:
     """A sequence of launches that is captured as a graph at its first run and replayed from then on.
 
-    The arrays it touches and their sizes are baked in: make a new one when they are replaced. A graph runs on one CPU
-    core: from `rows` of `ALONE_ROWS` on the sequence is run launch by launch instead, by all of them.
+    The arrays it touches, their sizes and all numbers passed to kernels are baked in: make a new one when arrays are
+    replaced, and hand numbers that change over in arrays (`melp_warp.settings.Setting`). A sequence within another that
+    is captured becomes a part of that one's graph. A graph runs on one CPU core: from `least` rows on the sequence is
+    run launch by launch instead, by all of them.
 
     Args:
-        body: launches the sequence.
+        body: method of its owner that launches the sequence; it is not kept alive by this.
         device: where to run.
         rows: threads of the largest launch.
+        least: fewest rows that all cores together are better for.
     """
 
-    def __init__(self, body: Callable[[], None], device, rows: int = 0):
-        self._body = body
+    def __init__(self, body: Callable[[], None], device, rows: int = 0, least: int = ALONE_ROWS):
+        self._method = WeakMethod(body)
         self._device = wp.get_device(device)
-        self._eager = not self._device.is_cuda and THREADS > 1 and rows >= ALONE_ROWS
+        self._shared = not self._device.is_cuda and THREADS > 1 and rows >= least
         self._graph = None
+
+    def _body(self) -> None:
+        self._method()()
 
     def __call__(self) -> None:
         """Run the sequence."""
-        if self._eager:
+        if self._shared or not _shared or not GRAPHS:
             self._body()
         elif self._graph is None:
             with _one_thread():
@@ -181,5 +227,7 @@ def _one_thread() -> Iterator[None]:
     """Launch from this thread alone: none other may launch during a capture."""
     global _shared  # noqa: PLW0603
     _shared, before = False, _shared
-    yield
-    _shared = before
+    try:
+        yield
+    finally:
+        _shared = before

@@ -9,7 +9,7 @@ import warp as wp
 
 from melp_warp.kernels import linear as k
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.launch import Recorded, launch
+from melp_warp.launch import Recorded, launch, repeat
 
 CHUNKS = 64
 
@@ -41,22 +41,27 @@ class LinearOperator:
 class _Solver:
     """What the iterative solvers share: scalars, control and the counters read back for diagnostics."""
 
-    def __init__(self, n: int, tolerance: float, max_iterations: int, device, stride: int = 1):
+    def __init__(self, n: int, tolerance: float, max_iterations: int, device, stride: int = 1, dtype=wp.float32):
         self.n = n
+        self._typed = k.VECTORS if dtype is wp.vec3 else {}
         self.device = device
         self.stride = stride  # iterations between two looks at the residual
         self.scalar = wp.zeros(8, dtype=wp.float32, device=device)
         self.go = wp.zeros(1, dtype=wp.int32, device=device)
-        self.control = wp.array([tolerance, math.ceil(max_iterations / stride)], dtype=wp.float32, device=device)
+        self._most = math.ceil(max_iterations / stride)
+        self.control = wp.array([tolerance, self._most], dtype=wp.float32, device=device)
         self.part_a = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
         self.part_b = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
         self._run = Recorded(self._body, device, n)
 
     def _launch(self, kernel, inputs, outputs=(), dim=None):
-        launch(kernel, self.n if dim is None else dim, inputs, outputs, self.device)
+        launch(self._typed.get(kernel, kernel), self.n if dim is None else dim, inputs, outputs, self.device)
 
     def _dot(self, a, b, partial):
         self._launch(k.dot_chunks, [a, b, self.n], [partial], dim=CHUNKS)
+
+    def _repeat(self, body) -> None:
+        repeat(self.go, body, self._most)
 
     def solve(self) -> None:
         """Run the solve; the solution is left in `x`."""
@@ -90,7 +95,7 @@ class ConjugateGradient(_Solver):
 
     def __init__(self, operator, total, dtype, tolerance, max_iterations, jacobi: float | None = None):
         stride = 1 if jacobi is None else 2
-        super().__init__(operator.n, tolerance, max_iterations, operator.device, stride)
+        super().__init__(operator.n, tolerance, max_iterations, operator.device, stride, dtype)
         self.operator = operator
         self.jacobi = jacobi
         self.b, self.r, self.z, self.q = (wp.zeros(self.n, dtype=dtype, device=self.device) for _ in range(4))
@@ -105,12 +110,12 @@ class ConjugateGradient(_Solver):
         self._dot(self.r, self.z, self.part_a)
         self._launch(k.weighted_chunks, [self.b, self.b, self.inverse, self.n], [self.part_b], dim=CHUNKS)
         self._launch(k.start_scalars, [self.part_a, self.part_b, self.control], [self.scalar, self.go], dim=1)
-        wp.capture_while(self.go, self._iterate if self.jacobi is None else self._sweep)
+        self._repeat(self._iterate if self.jacobi is None else self._sweep)
 
     def _iterate(self):
         self._launch(k.apply_operator, [self.p, *self.operator.arrays], [self.q])
         self._dot(self.p, self.q, self.part_a)
-        self._launch(k.set_alpha, [self.part_a], [self.scalar], dim=1)
+        self._launch(k.set_alpha, [self.part_a, self.go], [self.scalar], dim=1)
         self._launch(k.advance_solution, [self.scalar, self.p, self.q, self.inverse], [self.x, self.r, self.z])
         self._dot(self.r, self.z, self.part_a)
         self._launch(k.set_beta, [self.part_a, self.control, 1.0], [self.scalar, self.go], dim=1)
@@ -161,7 +166,7 @@ class GasConjugateGradient(ConjugateGradient):
         wp.copy(self.p, self.z)
         self._dot(self.r, self.z, self.part_a)
         self._launch(k.start_scalars, [self.part_a, self.part_a, self.control], [self.scalar, self.go], dim=1)
-        wp.capture_while(self.go, self._iterate)
+        self._repeat(self._iterate)
 
     def _iterate(self):
         self._launch(k.apply_operator, [self.p, *self.operator.arrays], [self.q])
@@ -169,7 +174,7 @@ class GasConjugateGradient(ConjugateGradient):
         self._by_region(k.weigh_gas_r, [self.part, self.stiff], [self.weight])
         self._launch(k.add_gas_e, [self.weight, self.sweep, self.region], [self.q])
         self._dot(self.p, self.q, self.part_a)
-        self._launch(k.set_alpha, [self.part_a], [self.scalar], dim=1)
+        self._launch(k.set_alpha, [self.part_a, self.go], [self.scalar], dim=1)
         self._launch(k.advance_solution, [self.scalar, self.p, self.q, self.inverse], [self.x, self.r, self.z])
         self._soften()
         self._dot(self.r, self.z, self.part_a)
@@ -241,13 +246,13 @@ class RationalLaplacian(_Solver):
         self._launch(k.start_zeta, [], [self.zeta], dim=k.POLES)
         self._dot(self.r, self.r, self.part_a)
         self._launch(k.start_scalars, [self.part_a, self.part_a, self.control], [self.scalar, self.go], dim=1)
-        wp.capture_while(self.go, self._iterate)
+        self._repeat(self._iterate)
         self._launch(k.unscale, [self.y, self.area], [self.x])
 
     def _iterate(self):
         self._launch(k.apply_shifted, [self.p, self.diag, self.scaled, self.poles, self.rows], [self.q])
         self._dot(self.p, self.q, self.part_a)
-        self._launch(k.set_alpha, [self.part_a], [self.scalar], dim=1)
+        self._launch(k.set_alpha, [self.part_a, self.go], [self.scalar], dim=1)
         self._launch(k.set_zeta, [self.scalar, self.poles], [self.zeta], dim=k.POLES)
         self._launch(k.advance_shifted, [self.scalar, self.zeta, self.q, self.real, self.imag], [self.y, self.r])
         self._dot(self.r, self.r, self.part_a)

@@ -16,6 +16,7 @@ from melp_warp.launch import launch
 from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
 from melp_warp.neighbors import NeighborLists
 from melp_warp.rim import Rim
+from melp_warp.settings import Setting
 from melp_warp.state import State
 from melp_warp.surfactant import Fields
 
@@ -49,11 +50,12 @@ class FilmResponse:
             for _ in range(2)
         )
         self.diag = operator.diag
-        self._scale = operator.scale
+        self._scale = Setting(film.device)
+        operator.scale = self._scale.array
 
     def prepare(self, stiffness: float) -> None:
         """Set c = 2 sigma theta^2 dt^2 (N s^2/m = kg)."""
-        self._scale.fill_(stiffness)
+        self._scale.at(stiffness)
 
     def solve(self) -> tuple[wp.array, wp.array]:
         """Responses to the load `load.b` and to the unit pressure `unit.b`, the last ones as first guesses."""
@@ -144,6 +146,7 @@ class Membrane:
             large step does not resolve, and the operator in the matrix is softer for the shortest than the force: they
             grow. So theta rises to 1 where the shortest wave runs more than `MIDPOINT_CFL` spacings in a step.
         theta_whole: the same for the motion of the film as a whole, which has no stiffness.
+        ahead: [1] theta dt, s: how far ahead the force is taken; 0 for the explicit scheme.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [1] velocity of the film as a whole at the start of the step, m/s.
         frame: [1] the same in the step; that of its end is `State.motion`.
@@ -183,25 +186,35 @@ class Membrane:
             self.response = FilmResponse(film, lists, geometry)
             self.added = 0.0
         self._added = wp.full(film.regions, self.added, dtype=wp.float32, device=film.device)
+        self.ahead, self._theta, self._recoil = (Setting(film.device) for _ in range(3))
 
-    def solve(self, dt: float) -> None:
-        """Advance the normal velocity of E by dt and set `u_mid`."""
+    def prepare(self, dt: float) -> None:
+        """Set what depends on the step dt (s) to come."""
+        film = self.film
         if self.midpoint:
-            self.theta = max(0.5, 1.0 - 0.5 * MIDPOINT_CFL * self.film.spacing / (self._wave_speed * dt))
-        ahead = 0.0 if self.explicit else self.theta * dt
+            self.theta = max(0.5, 1.0 - 0.5 * MIDPOINT_CFL * film.spacing / (self._wave_speed * dt))
+        self._theta.at(self.theta)
+        if not self.explicit:
+            self.ahead.at(self.theta * dt)
+            self.response.prepare(2.0 * film.material.film_tension * (self.theta * dt) ** 2)
+        w = 2.0 * film.stiffness / film.material.thickness * (dt / film.radius) ** 2
+        self._recoil.at(w / (1.0 + w))
+
+    def solve(self, dt: wp.array) -> None:
+        """Advance the normal velocity of E by dt and set `u_mid`."""
         if self.film.features.closed:
             self._find_motion(self.found)
             wp.copy(self.start, self.state.motion)
             e = self.state.e
             self.film.launch_e(ko.hold_motion_e, [e.normal, e.region, self.found, self.state.motion], [e.u])
-        self._load(ahead, dt)
-        change, unit = self._respond(dt)
+        self._load(self.ahead.array, dt)
+        change, unit = self._respond()
         if self.film.features.closed:
             self._close_gas(change, unit, dt)
             self.film.launch_one(ko.push_motion, [self.rigid, dt], [self.state.motion])
         self.film.launch_e(
             km.apply_membrane_e,
-            [self.state.e.normal, change, unit, self.state.gas, self.rigid, self.theta, self.theta_whole, dt],
+            [self.state.e.normal, change, unit, self.state.gas, self.rigid, self._theta.array, self.theta_whole, dt],
             [self.state.e.u, self.u_mid],
         )
 
@@ -219,7 +232,7 @@ class Membrane:
         )
         film.launch_regions(ko.solve_motion_r, [self.inertia, self.net], [motion])
 
-    def _load(self, ahead: float, dt: float) -> None:
+    def _load(self, ahead: wp.array, dt: wp.array) -> None:
         film, e, m = self.film, self.state.e, self.film.material
         self._predict(ahead)
         kappa = self.geometry.curvature(self.predicted)
@@ -253,7 +266,7 @@ class Membrane:
             [self.response.load.b, self.response.unit.b, self.response.diag],
         )
 
-    def _predict(self, ahead: float) -> None:
+    def _predict(self, ahead: wp.array) -> None:
         film, e = self.film, self.state.e
         if film.features.closed:
             film.launch_parts(ko.mean_speed_chunks, [e.normal, self.geometry.area, e.u, film.n_e], [self.mean])
@@ -268,15 +281,14 @@ class Membrane:
             self.film.device,
         )
 
-    def _respond(self, dt: float) -> tuple[wp.array, wp.array]:
+    def _respond(self) -> tuple[wp.array, wp.array]:
         if self.explicit:
             for pair in (self.response.load, self.response.unit):
                 self.film.launch_e(km.explicit_response_e, [pair.b, self.response.diag], [pair.x])
             return self.response.load.x, self.response.unit.x
-        self.response.prepare(2.0 * self.film.material.film_tension * (self.theta * dt) ** 2)
         return self.response.solve()
 
-    def _close_gas(self, change: wp.array, unit: wp.array, dt: float) -> None:
+    def _close_gas(self, change: wp.array, unit: wp.array, dt: wp.array) -> None:
         film, e = self.film, self.state.e
         film.launch_parts(
             kg.swept_chunks,
@@ -288,7 +300,7 @@ class Membrane:
                 change,
                 unit,
                 self.start,
-                self.theta,
+                self._theta.array,
                 dt,
                 film.n_e,
             ],
@@ -296,14 +308,13 @@ class Membrane:
         )
         film.launch_one(kg.close_gas, [self.swept, film.surroundings.pressure], [self.state.gas])
 
-    def recoil(self, traction: wp.array, dt: float) -> None:
+    def recoil(self, traction: wp.array, dt: wp.array) -> None:
         """Move a closed film as a whole against the sum of the tangential forces of its tension."""
         film, e = self.film, self.state.e
         film.launch_parts(ko.traction_chunks, [traction, self.geometry.area, film.n_e], [self.net])
-        w = 2.0 * film.stiffness / film.material.thickness * (dt / film.radius) ** 2
         film.launch_one(
             ko.recoil,
-            [self.moment, self.inertia, self.net, self.added, w / (1.0 + w), dt],
+            [self.moment, self.inertia, self.net, self.added, self._recoil.array, dt],
             [self.kick, self.state.motion],
         )
         film.launch_e(ko.apply_recoil_e, [e.normal, self.kick, self.theta_whole], [e.u, self.u_mid])

@@ -250,7 +250,7 @@ def _relax(scene: Scene, stepper: Stepper) -> None:
     for done in range(MOST_RELAXATION_STEPS):
         if done >= RELAXATION_STEPS and stepper.redistribution.spread.numpy()[0, 0] < EVEN_ENOUGH:
             break
-        stepper.redistribution.apply(1.0)
+        stepper.redistribution.apply(stepper.dt.at(1.0))
         points = e.x.numpy()
         points[: e.count] = scene.shape.project(points[: e.count] + origin) - origin
         e.x.assign(points)
@@ -329,10 +329,10 @@ def _share_area(stepper: Stepper) -> None:
         return
     stepper.l_advance.project()
     stepper.lists.rebuild()
-    none = film.zeros(film.n_e)
+    none, no_time, at_once = film.zeros(film.n_e), film.zeros(1), wp.full(1, 1.0, dtype=float, device=film.device)
     for _ in range(AREA_STEPS):
         transfer.gather()
-        settings = [none, transfer.claim, geometry.area, 0.0, 1.0, 0.0, math.inf]
+        settings = [none, transfer.claim, geometry.area, no_time, at_once, 0.0, math.inf]
         film.launch_e(kt.thickness_growth_e, settings, [transfer.growth])
         transfer.gather_to_l()
 

@@ -19,6 +19,7 @@ from melp_warp.kernels import diagnostics as kd
 from melp_warp.launch import launch
 from melp_warp.sampling import FAR, make_film, resume
 from melp_warp.scene import MOST_STEPS, Scene
+from melp_warp.settings import Reading
 from melp_warp.state import GAS_SLOTS, Snapshot
 from melp_warp.stepper import STAGES, Stepper
 from melp_warp.surgery import Stored
@@ -74,6 +75,7 @@ class Simulation:
         has_l: whether there are Lagrangian particles.
         spilled: liquid that left with films that popped, kg.
         origin: [3] float64, m: where `particles` measures from, the same for the whole run.
+        watched: whether every step is checked at once, which a GPU would have to be waited for; else between frames.
         step_seconds: wall time of each step, s; the first ones load and record kernels, and on a GPU this is the time
             of launching alone.
     """
@@ -94,6 +96,7 @@ class Simulation:
             ) from None
         self.has_l = self.stepper.state.l is not None
         self._last_dt, self._step_limit, self._substeps = 0.0, 0.0, 0
+        self.watched = not self.device.is_cuda
         self._cap = math.inf
         self.origin = self.stepper.state.origin
         self._ids = {"e": np.arange(self.film.n_e), "l": np.arange(self.film.n_l)}
@@ -109,6 +112,7 @@ class Simulation:
         self._energy = film.parts(wp.float64)
         size = float(np.sqrt(self.state.gas.numpy()[:, AREA].min() / np.pi))
         self._reach = LEAP * (0.5 * size if film.features.closed else size)
+        self._travel = Reading(stepper.lists.travel)
 
     @property
     def time(self) -> float:
@@ -124,6 +128,8 @@ class Simulation:
         """One step of dt seconds."""
         began = time.perf_counter()
         self.stepper.step(dt)
+        if self.scene.dt is None:
+            self._travel.take(dt)
         self.step_seconds.append(time.perf_counter() - began)
         self._last_dt = dt
 
@@ -131,19 +137,21 @@ class Simulation:
         """Advance by 1/fps.
 
         A frame in which a particle leaps or a neighbour list overflows is done again, in smaller steps or with more
-        room.
+        room. One that went wrong while nobody looked is first done again with a look at every step, which finds out
+        what came first.
 
         Raises:
             SimulationError: names the stage and the particle; the state is then that of the last good frame.
         """
         end = (self.state.frame + 1) / self.scene.fps
-        good = self._mark()
+        good, watched = self._mark(), self.watched
         while True:
             try:
-                self._advance_to(end)
+                self._advance_to(end, watched)
                 break
             except SimulationError as error:
-                again = self._give_way(error)
+                again = not watched or self._give_way(error)
+                watched = True
                 self._go_back(good)
                 if not again:
                     raise SimulationError(f"{error}, at {end:.4g} s in frame {self.state.frame + 1}") from None
@@ -153,23 +161,28 @@ class Simulation:
         self._recentre()
         self._snapshot.save(self.state)
 
-    def _advance_to(self, end: float) -> None:
-        """Take steps until `end` (s)."""
+    def _advance_to(self, end: float, watched: bool) -> None:
+        """Take steps until `end` (s), each checked at once if it is `watched`."""
         self._change_regions()
         self._substeps = 0
         for stage in STAGES:
             self.stepper.wall[stage] = 0.0
+        self.stepper.lists.forget_leaps()
         while end - self.time > 1e-9 / self.scene.fps:
             self.step_towards(end)
-            self._check_way()
-            if not self.device.is_cuda:
-                self.stepper.check()
+            if watched:
+                self._check()
             self._change_regions()
+        self._check()
+
+    def _check(self) -> None:
+        """Raise if the steps of this frame went wrong (reads back)."""
+        self._check_way()
         self.stepper.check()
 
     def _check_way(self) -> None:
-        """Raise if a particle moved too far in the last step; the explicit scheme is left to its user."""
-        travel = self.stepper.lists.travel.numpy()[2:]
+        """Raise if a particle moved too far in a step; the explicit scheme is left to its user."""
+        travel = self.stepper.lists.travel.numpy()[4:]
         if travel.max() > self._reach and self.scene.numerics.scheme != "explicit":
             which = "E" if travel[0] >= travel[1] else "L"
             raise LeapError(
@@ -180,7 +193,7 @@ class Simulation:
     def _give_way(self, error: SimulationError) -> bool:
         """Ask for what an error calls for, smaller steps or more room; whether there is any left to give."""
         if isinstance(error, LeapError):
-            travel = float(self.stepper.lists.travel.numpy()[2:].max())
+            travel = float(self.stepper.lists.travel.numpy()[4:].max())
             self._cap = 0.5 * self._last_dt * max(self._reach / max(self._reach, travel), LEAST_CUT)
             fastest = self._wave_speed if self.film.features.moving else max(self._wave_speed, FASTEST)
             least = LEAST_STEP * self.film.spacing / fastest
@@ -212,6 +225,7 @@ class Simulation:
         """Make anew what the stages keep between steps (lists, fits, first guesses) from the state, which stays."""
         film, kept, area = self.film, Snapshot(self.state), self.stepper.geometry.area
         self.stepper = Stepper(film, self.state)
+        self._travel = Reading(self.stepper.lists.travel)
         if film.features.foam:
             self.stepper.fields.update()
             self.stepper.membrane.start_motion()
@@ -259,7 +273,7 @@ class Simulation:
         return resume(self.scene, stored, labels, self.film.spacing, self.device, self.film.room)
 
     def largest_step(self) -> float:
-        """The scene's dt, or the step in which the fastest particle of the last one moves `cfl` spacings, s.
+        """The scene's dt, or the step in which the fastest particle moves `cfl` spacings, s.
 
         Where the scene sets no dt, the first step is that of the fastest wave on the film and a step is at most twice
         the one before: at the start nothing has moved yet.
@@ -272,7 +286,7 @@ class Simulation:
         reach = self.scene.numerics.cfl * self.film.spacing
         if self._step_limit == 0.0:
             return min(limit, reach / self._wave_speed)
-        speed = float(self.stepper.lists.travel.numpy()[2:].max()) / self._last_dt
+        speed = self._fastest()
         wanted = min(2.0 * self._step_limit, reach / speed if speed > 0.0 else limit)
         if wanted * MOST_STEPS * self.scene.fps < 1.0:
             raise SimulationError(
@@ -280,6 +294,11 @@ class Simulation:
                 f" more than {MOST_STEPS:,} a frame"
             )
         return min(limit, wanted)
+
+    def _fastest(self) -> float:
+        """Speed of the fastest particle in the last step, on a GPU in the one before, m/s; 0 where none was done."""
+        taken = self._travel.get()
+        return float(taken[0][2:4].max()) / taken[1] if taken else 0.0
 
     def _fastest_wave(self) -> float:
         """Fastest wave: sqrt(2 sigma/m) where the film can move, sqrt(2 R T Gamma/m) where it is flat, m/s."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
@@ -17,22 +16,35 @@ from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import launch
+from melp_warp.launch import ROWS_A_THREAD, Recorded, launch, when
 from melp_warp.membrane import Membrane
 from melp_warp.neighbors import NeighborLists
 from melp_warp.rim import Rim
+from melp_warp.settings import Setting
 from melp_warp.state import State
 from melp_warp.surfactant import Fields, Tangential
 from melp_warp.transfer import Transfer
 
 STAGES = ("neighbors", "l_to_e", "geometry", "membrane", "surfactant", "e_to_l", "advance_e", "advance_l")
 
+OF_L = ("neighbors", "l_to_e", "e_to_l", "advance_l")
+"""Stages whose largest kernels have a thread an L."""
+
+SHARED_ROWS = 2 * ROWS_A_THREAD
+"""Rows from which a stage has kernels that cores share: it gains more from that than from being captured."""
+
 
 class Stepper:
     """Holds the stages that a film's features ask for and runs them in order.
 
+    On a GPU a step is one graph, captured in the first step and replayed from then on; it decides on the device whether
+    lists are rebuilt and when solvers stop, and reads `dt` and what else changes from step to step from arrays. On the
+    CPU each stage is a graph of its own where it is small, and otherwise runs on all cores.
+
     Attributes:
-        wall: seconds spent in each stage since the last reset (launch time only on a GPU).
+        dt: the step in progress, s.
+        whole: whether a step is one graph.
+        wall: seconds spent in each stage since the last reset; not known where a step is one graph.
     """
 
     def __init__(self, film: Film, state: State):
@@ -60,80 +72,133 @@ class Stepper:
         self.start, self.frame = (self.membrane.start, self.membrane.frame) if f.moving else (still, still)
         # lists within a film move along with it; those between regions do not
         self.at_rest = film.zeros(film.regions, wp.vec3) if f.foam else self.frame
+        self.dt = Setting(film.device)
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.steps = 0
+        self.whole = film.device.is_cuda
+        self._stages = {
+            name: Recorded(run, film.device, max(film.n_e, film.n_l if name in OF_L else 0), SHARED_ROWS)
+            for name, run in self._table().items()
+        }
+        self._fields = Recorded(self._find_fields, film.device, film.n_e, SHARED_ROWS)
+        self._graph = Recorded(self._take, film.device)
         self.geometry.update()
 
     def _make_membrane(self) -> Membrane | FoamMembrane:
         common = [self.film, self.state, self.lists, self.geometry, self.fields, self.forces]
         return FoamMembrane(*common) if self.film.features.foam else Membrane(*common, self.rim)
 
+    def _table(self) -> dict[str, Callable[[], None]]:
+        """The stages of a step in their order."""
+        moving, lagrangian = self.film.features.moving, self.film.features.lagrangian
+        table = {
+            "neighbors": self._find_neighbors if lagrangian else None,
+            "l_to_e": self._gather if lagrangian else self._keep,
+            "membrane": self._solve_normal if moving else None,
+            "surfactant": self._solve_tangential if lagrangian else None,
+            "e_to_l": self._scatter if lagrangian else None,
+            "advance_e": self._advance_e if moving else None,
+            "geometry": self._find_geometry if moving else None,
+            "advance_l": self._advance_l if lagrangian else None,
+        }
+        return {name: run for name, run in table.items() if run is not None}
+
     def step(self, dt: float) -> None:
         """Advance the film by dt (s)."""
-        f, e = self.film.features, self.state.e
-        with self._stage("neighbors"):
-            if self.exchange is not None and self.exchange.due(dt):
-                self.exchange.apply(dt)  # (27), (28)
-                self.lists.rebuild_l()
-            else:
-                self.lists.update_l()
-        with self._stage("l_to_e"):
-            if f.lagrangian:
-                self.transfer.l_to_e()  # (6), (7)
-            else:
-                self.film.launch_e(kt.keep_normal_e, [e.normal], [e.u])
-            self.fields.update()
-            self.forces.update()
-        if f.moving:
-            with self._stage("membrane"):
-                self.membrane.solve(dt)  # (12), gas
-        if f.lagrangian:
-            with self._stage("surfactant"):
-                self.tangential.solve(dt)  # (14), (15)
-                if f.recoils:
-                    self.membrane.recoil(self.tangential.traction, dt)
-            with self._stage("e_to_l"):
-                self.transfer.e_to_l(self.tangential.find_dilation(), dt)  # (16)-(18), (8)
-                v = self.l_advance.find_velocity(e.x, self.start, dt)
-        if f.moving:
-            with self._stage("advance_e"):
-                if not f.foam:
-                    self.membrane.find_frame()
-                self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19)
-                if self.redistribution is not None:
-                    self.redistribution.apply(dt)  # (20)
-                if f.foam:
-                    self.membrane.recall()
-                if self.rim is not None:
-                    self.rim.extend()
-                self.lists.record_e(self.e_advance.x_old, self.at_rest, dt)
-            with self._stage("geometry"):
-                self.lists.update_e()
-                self.geometry.update()  # (9), (10), (11)
-                if f.closed:
-                    self.membrane.close_volume()
-        if f.lagrangian:
-            with self._stage("advance_l"):
-                self.l_advance.advance(v, self.frame, self.state.motion, dt)  # Algorithm 7
-                self.lists.record_l(self.at_rest, dt)
+        self.prepare(dt)
+        if self.whole:
+            self._graph()
+        else:
+            self._take()
         self.state.time += dt
         self.steps += 1
 
-    @contextmanager
-    def _stage(self, name: str) -> Iterator[None]:
-        began = time.perf_counter()
-        yield
-        self._guard(name)
-        self.wall[name] += time.perf_counter() - began
+    def prepare(self, dt: float) -> wp.array:
+        """Set what depends on the step dt (s) to come; `dt` as the stages take it."""
+        for stage in (self.exchange, self.transfer, self.membrane):
+            if stage is not None:
+                stage.prepare(dt)
+        return self.dt.at(dt)
 
-    def _guard(self, name: str) -> None:
-        """Note on the device the first stage that leaves a number that is not finite."""
-        number = STAGES.index(name) + 1
-        e, lagrangian = self.state.e, self.state.l
-        if name in ("e_to_l", "advance_l"):
-            launch(kd.find_broken, self.film.n_l, [lagrangian.x, lagrangian.v, number], [self.broken], self.film.device)
-        elif name != "neighbors":
-            self.film.launch_e(kd.find_broken, [e.x, e.u, number], [self.broken])
+    def _take(self) -> None:
+        """Run the stages."""
+        for name, stage in self._stages.items():
+            began = time.perf_counter()
+            stage()
+            self.wall[name] += time.perf_counter() - began
+
+    def _find_neighbors(self) -> None:
+        if self.exchange is not None:
+            when(self.exchange.due.array, self._exchange)
+        self.lists.update_l()
+
+    def _exchange(self) -> None:
+        self.exchange.apply(self.dt.array)  # (27), (28)
+
+    def _gather(self) -> None:
+        self.transfer.l_to_e()  # (6), (7)
+        self._fields()
+
+    def _keep(self) -> None:
+        self.film.launch_e(kt.keep_normal_e, [self.state.e.normal], [self.state.e.u])
+        self._fields()
+
+    def _find_fields(self) -> None:
+        self.fields.update()
+        self.forces.update()
+        self._guard_e("l_to_e")
+
+    def _solve_normal(self) -> None:
+        self.membrane.solve(self.dt.array)  # (12), gas
+        self._guard_e("membrane")
+
+    def _solve_tangential(self) -> None:
+        self.tangential.solve(self.dt.array)  # (14), (15)
+        if self.film.features.recoils:
+            self.membrane.recoil(self.tangential.traction, self.dt.array)
+        self.tangential.find_dilation()
+        self._guard_e("surfactant")
+
+    def _scatter(self) -> None:
+        self.transfer.e_to_l(self.tangential.dilation, self.dt.array)  # (16)-(18), (8)
+        self.l_advance.find_velocity(self.state.e.x, self.start, self.dt.array)
+        self._guard_l("e_to_l")
+
+    def _advance_e(self) -> None:
+        foam, dt = self.film.features.foam, self.dt.array
+        if not foam:
+            self.membrane.find_frame()
+        self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19)
+        if self.redistribution is not None:
+            self.redistribution.apply(dt)  # (20)
+        if foam:
+            self.membrane.recall()
+        if self.rim is not None:
+            self.rim.extend()
+        self.lists.record_e(self.e_advance.x_old, self.at_rest, dt)
+        self._guard_e("advance_e")
+
+    def _find_geometry(self) -> None:
+        self.lists.update_e()
+        self.geometry.update()  # (9), (10), (11)
+        if self.film.features.closed:
+            self.membrane.close_volume()
+        self._guard_e("geometry")
+
+    def _advance_l(self) -> None:
+        self.l_advance.advance(self.frame, self.state.motion, self.dt.array)  # Algorithm 7
+        self.lists.record_l(self.at_rest, self.dt.array)
+        self._guard_l("advance_l")
+
+    def _guard_e(self, name: str) -> None:
+        """Note on the device the first stage that leaves a number of E that is not finite."""
+        e = self.state.e
+        self.film.launch_e(kd.find_broken, [e.x, e.u, STAGES.index(name) + 1], [self.broken])
+
+    def _guard_l(self, name: str) -> None:
+        """The same for L."""
+        lag = self.state.l
+        launch(kd.find_broken, self.film.n_l, [lag.x, lag.v, STAGES.index(name) + 1], [self.broken], self.film.device)
 
     def check(self) -> None:
         """Raise if a stage left a number that is not finite, a list overflowed or the gas collapsed (reads back).

@@ -72,7 +72,7 @@ class Tangential:
         if film.features.viscous:
             self.viscous = ConjugateGradient(operator, film.total, wp.vec3, numerics.tolerance, numerics.max_iterations)
 
-    def solve(self, dt: float) -> None:
+    def solve(self, dt: wp.array) -> None:
         """Advance the tangential velocity of E by dt: viscosity, then (14) and (15)."""
         if self.viscous is not None:
             self._diffuse(dt)
@@ -88,7 +88,7 @@ class Tangential:
         self.film.launch_e(ks.dilation_e, [self.state.e.u, self.lists.ee.rows, self.geometry.gradient], [self.dilation])
         return self.dilation
 
-    def _solve_surfactant(self, dt: float) -> None:
+    def _solve_surfactant(self, dt: wp.array) -> None:
         film, fields, solver = self.film, self.fields, self.solver
         film.launch_e(
             ks.assemble_surfactant_e,
@@ -109,7 +109,7 @@ class Tangential:
         )
         solver.solve()
 
-    def _accelerate(self, dt: float) -> None:
+    def _accelerate(self, dt: wp.array) -> None:
         film, fields = self.film, self.fields
         gamma = fields.gamma if self.solver is None else self.solver.x
         film.launch_e(
@@ -131,7 +131,7 @@ class Tangential:
             [self.state.e.u, self.traction],
         )
 
-    def _diffuse(self, dt: float) -> None:
+    def _diffuse(self, dt: wp.array) -> None:
         film, e, solver = self.film, self.state.e, self.viscous
         film.launch_e(
             ks.assemble_viscosity_e,

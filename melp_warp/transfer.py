@@ -12,6 +12,7 @@ from melp_warp.kernels import transfer as kt
 from melp_warp.kernels.rows import vec12, vec16
 from melp_warp.launch import launch
 from melp_warp.neighbors import NeighborLists
+from melp_warp.settings import Setting
 from melp_warp.state import State
 
 THICKNESS_SLACK = 0.02
@@ -39,7 +40,12 @@ class Transfer:
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
+        self._rate = Setting(film.device)
         self._kept = film.zeros(film.n_l, wp.vec3) if film.numerics.flip > 0.0 else None
+
+    def prepare(self, dt: float) -> None:
+        """Set what depends on the step dt (s) to come."""
+        self._rate.at(-math.expm1(-dt / self.film.numerics.thickness_time))
 
     def l_to_e(self) -> None:
         """Mass, surfactant, claimed area and tangential velocity of E from L, (6) and (7)."""
@@ -82,13 +88,12 @@ class Transfer:
             [self.weight, self._given, self.lost],
         )
 
-    def e_to_l(self, dilation: wp.array, dt: float) -> None:
+    def e_to_l(self, dilation: wp.array, dt: wp.array) -> None:
         """Velocity, affine state and thickness of L from E, (16)-(18) and (8)."""
         film = self.film
-        rate = -math.expm1(-dt / film.numerics.thickness_time)
         film.launch_e(
             kt.thickness_growth_e,
-            [dilation, self.claim, self.geometry.area, dt, rate, THICKNESS_SLACK, THICKNESS_LIMIT],
+            [dilation, self.claim, self.geometry.area, dt, self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT],
             [self.growth],
         )
         self.gather_to_l()

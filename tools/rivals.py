@@ -85,7 +85,7 @@ def gathers(sim: Simulation) -> list[dict]:
     offset, index = compact(rows)
     points = x.numpy()[:n].copy()
     made = [
-        ("list, wp.HashGrid", median_ms(lists.rebuild_e)),
+        ("list", median_ms(lists.rebuild_e)),
         ("gather, Warp", median_ms(lambda: launch(gather_bare, n, [x, x, rows, film.r], [total], sim.device))),
         ("gather, C++ row", median_ms(lambda: launch(gather_row, n, [x, rows, film.r], [weight, total], sim.device))),
     ]

@@ -29,7 +29,7 @@ def test_translation_is_found_and_followed(shape, device):
     s.membrane.start_motion()
     assert s.state.motion.numpy()[0] == pytest.approx(speed, abs=3e-6)
     x = f64(e.x)
-    s.e_advance.advance(wp.array(u_n, dtype=float, device=device), s.state.motion, 0.02)
+    s.e_advance.advance(wp.array(u_n, dtype=float, device=device), s.state.motion, s.prepare(0.02))
     assert np.abs(f64(e.x)[: film.n_e] - x - 0.02 * speed).max() < 5e-6 * 0.02 + 1e-8
 
 
@@ -53,11 +53,11 @@ def test_drift_is_smoothed(device):
     still = film.zeros(film.n_e)
     constant = np.tile([0.1, 0.2, -0.1], (film.n_e, 1))
     e.drift.assign(constant.astype(np.float32))
-    s.e_advance.advance(still, s.state.motion, 0.0)
+    s.e_advance.advance(still, s.state.motion, s.dt.at(0.0))
     assert np.abs(f64(e.drift) - constant).max() < 1e-6
     noise = np.random.default_rng(0).normal(size=(film.n_e, 3))
     e.drift.assign(noise.astype(np.float32))
-    s.e_advance.advance(still, s.state.motion, 0.0)
+    s.e_advance.advance(still, s.state.motion, s.dt.at(0.0))
     d = np.linspace(0.0, 3.0, 3001)
     w = 0.004661441847 * sum(c * np.maximum(q - d, 0.0) ** 5 for c, q in ((1.0, 3.0), (-6.0, 2.0), (15.0, 1.0)))
     h = film.r / 3.0 / film.spacing

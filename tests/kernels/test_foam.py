@@ -100,7 +100,7 @@ def test_contact_forces_add_up_to_nothing(device):
     s.state.e.x.assign((s.state.e.x.numpy() + shift).astype(np.float32))
     s.lists.rebuild()
     s.geometry.update()
-    s.membrane.solve(1e-3)
+    s.membrane.solve(s.prepare(1e-3))
     force, region = s.membrane.force.numpy().astype(np.float64), s.state.e.region.numpy()
     # tension of a region adds up to nothing, so that what is left is contact
     push = force[region == 0].sum(axis=0)
@@ -112,7 +112,7 @@ def test_loads_have_the_net_force_of_contact(device):
     """Loads along the normals, with what gives back the rest, push each region as the pair forces at rest do."""
     _, s = foam(pair(0.0), 1000, device)
     m, e = s.membrane, s.state.e
-    m.solve(1e-6)
+    m.solve(s.prepare(1e-6))
     normal, region = e.normal.numpy().astype(np.float64), e.region.numpy()
     inertia = e.mass.numpy() + m.added.numpy()[region] * s.geometry.area.numpy()
     back = np.sum(m._missing.numpy()[region] * normal, axis=1) * inertia
@@ -129,7 +129,7 @@ def test_gas_solver_leaves_a_small_true_residual(device):
     m = s.membrane
     rng = np.random.default_rng(1)
     s.state.e.u.assign((s.state.e.normal.numpy() * rng.normal(size=(len(s.state.e.x), 1))).astype(np.float32))
-    m.solve(1e-3)
+    m.solve(s.prepare(1e-3))
     solver = m.response
     rows, pair_, diag = solver.operator.rows, solver.operator.pair.numpy(), solver.operator.diag.numpy()
     x, b, sweep = (a.numpy().astype(np.float64) for a in (solver.x, solver.b, solver.sweep))
@@ -163,7 +163,7 @@ def test_exchange_conserves_and_repeats(device):
         options = {"support": 3.0, "exchange": 1e4}
         _, s = make_stepper(shape, 600, device, 8, options, seed=seed, concentration=uneven)
         before = [a.numpy().copy() for a in (s.state.l.mass, s.state.l.surfactant, s.state.l.v)]
-        s.exchange.apply(1.0 / 60.0)
+        s.exchange.apply(s.prepare(1.0 / 60.0))
         after = [a.numpy() for a in (s.state.l.mass, s.state.l.surfactant, s.state.l.v)]
         assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
         found.append(s.state.l.region.numpy().copy())
@@ -223,7 +223,8 @@ def test_what_a_cluster_is_owed_is_paid_in_full(device, count):
     arrays = [wp.array(owed, dtype=wp.vec4, device=device)]
     arrays += [wp.array(a, dtype=wp.vec3, device=device) for a in (spin, place)]
     arrays += [wp.zeros(count, dtype=wp.int32, device=device), wp.array(mass, dtype=wp.mat33, device=device)]
-    arrays += [wp.zeros(count, dtype=wp.int32, device=device), make_contact(film), 1.0]
+    arrays += [wp.zeros(count, dtype=wp.int32, device=device), make_contact(film)]
+    arrays += [wp.ones(1, dtype=float, device=device)]
     recoil = wp.zeros(count, dtype=wp.vec3, device=device)
     wp.launch(kl.pay_debt_r, dim=count, inputs=arrays, outputs=[recoil], device=device)
     paid = mass[:, 0, :1] * recoil.numpy()

@@ -81,7 +81,8 @@ def loaded(s, dt=1e-3):
     """Load of the membrane after `_load`, the fields being up to date. [n_e]."""
     s.fields.update()
     s.forces.update()
-    s.membrane._load(dt, dt)
+    step = s.prepare(dt)
+    s.membrane._load(step, step)
     return f64(s.membrane.response.load.b)
 
 
@@ -149,7 +150,7 @@ def test_response_to_a_unit_pressure(dt, device):
     """
     film, s = make_stepper(Jittered(Sphere(RADIUS)), 1000, device, numerics={"tolerance": 1e-6, "max_iterations": 500})
     loaded(s, dt)
-    _, unit = s.membrane._respond(dt)
+    _, unit = s.membrane._respond()
     ratio = f64(unit)[: film.n_e] * film.material.areal_mass / dt
     print(f"dt {dt:.1e}: largest deviation from dt/m {np.abs(ratio - 1.0).max():.1e}")
     assert np.abs(ratio - 1.0).max() < 2e-5
@@ -159,7 +160,7 @@ def test_explicit_scheme_is_load_over_mass(device):
     """The paper's symplectic Euler step: du = dt a f/m for each E alone."""
     film, s = make_stepper(Ellipsoid(0.06, 0.05, 0.042), 600, device, numerics={"scheme": "explicit"})
     b = loaded(s, 1e-6)
-    change, unit = s.membrane._respond(1e-6)
+    change, unit = s.membrane._respond()
     mass = f64(s.state.e.mass)
     assert f64(change)[: film.n_e] == pytest.approx(b / mass, rel=1e-5, abs=1e-12)
     assert f64(unit)[: film.n_e] == pytest.approx(1e-6 * f64(s.geometry.area) / mass, rel=1e-5)
@@ -171,10 +172,10 @@ def swept_volume(s, u, dt):
     s.state.e.u.assign(u.astype(np.float32))
     s.fields.update()
     s.membrane._find_motion(s.membrane.start)
-    s.membrane._predict(0.0)
+    s.membrane._predict(s.dt.at(0.0))
     s.geometry.curvature(s.state.e.x)
     none = film.zeros(film.n_e)
-    s.membrane._close_gas(none, none, dt)
+    s.membrane._close_gas(none, none, s.prepare(dt))
     return f64(s.membrane.swept).sum(axis=0)[0]
 
 
@@ -205,7 +206,7 @@ def test_prediction_leaves_out_the_motion_as_a_whole(device):
     x = f64(e.x)
     e.u.assign((np.array([0.5, -0.3, 0.2]) + 0.7 * n).astype(np.float32))
     s.membrane._find_motion(s.membrane.start)
-    s.membrane._predict(0.01)
+    s.membrane._predict(s.dt.at(0.01))
     area = f64(s.geometry.area)
     closure = np.linalg.norm(area @ n) / area.sum()
     print(f"closure {closure:.1e}")
@@ -214,7 +215,7 @@ def test_prediction_leaves_out_the_motion_as_a_whole(device):
     p2 = 1.5 * n[:, 1] ** 2 - 0.5
     e.u.assign((p2[:, None] * n).astype(np.float32))
     s.membrane._find_motion(s.membrane.start)
-    s.membrane._predict(0.01)
+    s.membrane._predict(s.dt.at(0.01))
     moved = np.sum((f64(s.membrane.predicted) - x) * n, axis=1)
     assert np.abs(moved - 0.01 * p2).max() < 0.01 * 2e-3
 

@@ -6,9 +6,11 @@ import warp as wp
 
 from melp_warp.advance import PROJECTION_REACH
 from melp_warp.errors import SimulationError
+from melp_warp.kernels import neighbors as kn
 from melp_warp.material import Surroundings
+from melp_warp.neighbors import CellGrid, NeighborList
 from melp_warp.shapes import Disc, Sphere
-from tests.helpers import Jittered, make_stepper, near, pairs_of, place_e
+from tests.helpers import Jittered, make_rows, make_stepper, near, pairs_of, place_e
 
 SHAPES = {"closed": Jittered(Sphere(0.05)), "flat": Jittered(Disc(0.05))}
 
@@ -72,6 +74,45 @@ def test_lists_refill_after_a_move(device):
     assert missing(s.lists.el.rows, e, lag, s.film.r) == 0
 
 
+@pytest.mark.parametrize("reach", [0.4, 1.0, 1.7])
+def test_a_grid_wraps_around(reach, device):
+    """Points over 40 cells each way, of which the grid has 16: each point within reach once, at any reach."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-20.0, 20.0, (40, 1, 3)) + rng.normal(scale=0.6, size=(40, 10, 3))
+    points[0] = points[1] + 16.0  # in the same cells
+    points = points.reshape(-1, 3).astype(np.float32)
+    x = wp.array(points, dtype=wp.vec3, device=device)
+    grid = CellGrid(len(points), 1.0, device)
+    grid.build(x)
+    assert grid.cells.side == 16
+    rows = NeighborList(grid, x, len(points), x, reach, kn.SAME).rows
+    low, high = (near(points, points, reach * scale, same=True) for scale in (1.0 - 1e-6, 1.0 + 1e-6))
+    for got, inside, around in zip(rows_as_sets(rows), low, high, strict=True):
+        assert set(inside.tolist()) <= got <= set(around.tolist())
+    assert len(pairs_of(rows)[0]) > 50
+
+
+def test_rows_are_sorted(device):
+    """Rows filled in any order, as on a GPU: empty ones, single ones and long ones."""
+    rng = np.random.default_rng(1)
+    columns = [rng.permutation(50)[:count] for count in (0, 1, 2, 17, 50, 0)]
+    rows = make_rows(columns, device)
+    wp.launch(kn.sort_rows, len(columns), [rows], device=device)
+    i, _, j = pairs_of(rows)
+    for k, wanted in enumerate(columns):
+        assert j[i == k].tolist() == sorted(wanted.tolist())
+
+
+def test_an_overflow_is_not_forgotten(device):
+    """A list that overflowed says so although it has been built anew since, for particles that lie well again."""
+    _, s = make_stepper(SHAPES["closed"], 300, device)
+    e = s.state.e.x.numpy().astype(np.float64)
+    place_e(s, 0.02 * e)
+    place_e(s, e)
+    with pytest.raises(SimulationError, match="EE"):
+        s.lists.check()
+
+
 def test_overflow_is_reported(device):
     """Particles that clump want more neighbours than there is room for: an error, never a read beyond the rows."""
     _, s = make_stepper(SHAPES["closed"], 500, device, l_per_e=4)
@@ -98,7 +139,7 @@ def test_skin_of_opposed_motion(device):
     for k in range(1, 7):
         old = wp.clone(s.state.e.x)
         s.state.e.x.assign((x + k * way).astype(np.float32))
-        s.lists.record_e(old, s.frame, 1.0)
+        s.lists.record_e(old, s.frame, s.dt.at(1.0))
         s.lists.update_e()
         now = s.state.e.x.numpy().astype(np.float64)
         assert missing(s.lists.ee.rows, now, now, film.r, same=True) == 0
@@ -131,7 +172,7 @@ def test_skin_keeps_every_pair(name, velocity, dt, device):
     """
     film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4, velocity=velocity, surroundings=AIR)
     start = positions(s)
-    before = list(s.lists.builds)
+    before = s.lists.builds
     largest = 0.0
     for _ in range(40):
         old = positions(s)

@@ -26,7 +26,7 @@ def apply(s, times):
     """Redistribute and renew the geometry, as after a time step; returns the spread before each."""
     spread = []
     for _ in range(times):
-        s.redistribution.apply(1.0)
+        s.redistribution.apply(s.dt.at(1.0))
         spread.append(float(s.redistribution.spread.numpy()[0, 0]))
         s.state.e.drift.zero_()
         s.lists.rebuild()
@@ -66,7 +66,7 @@ def test_even_points_are_left_alone(device):
     """Below the scene's spread nothing moves, bit for bit."""
     _, s = make_stepper(Jittered(Sphere(RADIUS)), 1000, device, numerics={"spread": 5.0})
     x = s.state.e.x.numpy().copy()
-    s.redistribution.apply(1e-3)
+    s.redistribution.apply(s.dt.at(1e-3))
     assert np.array_equal(s.state.e.x.numpy(), x)
     assert s.redistribution.spread.numpy()[0, 2] == 0.0
 
@@ -99,7 +99,7 @@ def test_velocity_field_stays_in_space(device):
     e = s.state.e
     x = f64(e.x)
     e.u.assign((x @ a.T + b).astype(np.float32))
-    s.redistribution.apply(1e-3)
+    s.redistribution.apply(s.dt.at(1e-3))
     after = f64(e.x)
     moved = np.linalg.norm(after - x, axis=1)
     error = np.linalg.norm(f64(e.u) - (after @ a.T + b), axis=1).max()
@@ -116,7 +116,7 @@ def test_drift_is_the_shift_over_dt(device):
     film, s = clustered(1000, device)
     e = s.state.e
     x, n, dt = f64(e.x), f64(e.normal), 2e-3
-    s.redistribution.apply(dt)
+    s.redistribution.apply(s.dt.at(dt))
     drift = f64(e.drift)
     assert np.abs(drift * dt - (f64(e.x) - x)).max() < 1.1 * (SHIFT_LIMIT * film.spacing) ** 2 / (2.0 * RADIUS)
     assert np.abs(np.sum(drift * n, axis=1)).max() < 1e-5 * np.abs(drift).max()

@@ -68,7 +68,7 @@ def test_operator_is_symmetric(device):
     film, s = make_stepper(Jittered(LYING), 800, device, l_per_e=4, thickness=lambda x: 4e-7 * (1.0 + 2.0 * x[:, 0]))
     s.transfer.l_to_e()
     s.fields.update()
-    s.tangential._solve_surfactant(1e-2)
+    s.tangential._solve_surfactant(s.dt.at(1e-2))
     operator = s.tangential.solver.operator
     i, k, j = pairs_of(s.lists.ee.rows)
     pair = operator.pair.numpy()[k]
@@ -100,7 +100,7 @@ def test_implicit_step_of_a_mode(mode, number, device):
     dt = number / (np.sqrt(c2) * k)
     s.fields.eta.fill_(eta)
     s.fields.gamma.assign((1.0 + e * cosine).astype(np.float32))
-    s.tangential.solve(dt)
+    s.tangential.solve(s.prepare(dt))
     gamma = s.tangential.solver.x.numpy()[: film.n_e].astype(np.float64)
     after = amplitude(gamma - 1.0, cosine)
     u = s.state.e.u.numpy()[: film.n_e].astype(np.float64)
@@ -128,7 +128,7 @@ def test_hydrostatic_film_stays_at_rest(device):
     s.fields.gamma.assign(profile.astype(np.float32))
     dt = 1e-2
     s.forces.update()
-    s.tangential.solve(dt)
+    s.tangential.solve(s.prepare(dt))
     u = s.state.e.u.numpy()[: film.n_e]
     worst = np.linalg.norm(u, axis=1).max() / (G * dt)
     print(
@@ -153,7 +153,7 @@ def test_even_film_falls_freely_without_surfactant(device):
     assert s.tangential.solver is None
     s.fields.update()
     s.forces.update()
-    s.tangential.solve(1e-2)
+    s.tangential.solve(s.prepare(1e-2))
     u = s.state.e.u.numpy()[: film.n_e] / (G * 1e-2)
     assert np.abs(u - [0.0, -1.0, 0.0]).max() < 1e-4
 
@@ -196,7 +196,7 @@ def test_viscosity_conserves_and_damps(device):
     mass = s.state.e.mass.numpy().astype(np.float64)
     set_velocity(s, lambda x: np.outer(0.2 + np.cos(k * (x @ LYING.axes[1] + 0.5 * HEIGHT)), LYING.axes[0]))
     before = mass @ s.state.e.u.numpy()[: film.n_e].astype(np.float64)
-    s.tangential._diffuse(dt)
+    s.tangential._diffuse(s.dt.at(dt))
     u = s.state.e.u.numpy()[: film.n_e].astype(np.float64)
     assert np.abs(mass @ u - before).max() < 2e-6 * mass.sum()
     mode = np.cos(k * z)
@@ -211,7 +211,7 @@ def test_drag_is_implicit(device):
     film, s = make_stepper(LYING, 800, device, l_per_e=1, surroundings=surroundings, material=Material(surfactant=0.0))
     s.fields.update()
     set_velocity(s, lambda x: np.outer(np.ones(len(x)), LYING.axes[0]))
-    s.tangential._accelerate(1e-2)
+    s.tangential._accelerate(s.dt.at(1e-2))
     eta = s.fields.eta.numpy().astype(np.float64)
     expected = 1.0 / (1.0 + 1e-2 * 1e-3 / (film.material.density * eta))
     assert np.abs(s.state.e.u.numpy()[: film.n_e, 0] / expected - 1.0).max() < 1e-5

@@ -144,7 +144,7 @@ def test_thickness_follows_dilation(device):
     s.transfer.gather()
     before = f64(s.state.l.eta)
     dilation = wp.full(film.n_e, 12.0, dtype=float, device=device)
-    s.transfer.e_to_l(dilation, 0.01)
+    s.transfer.e_to_l(dilation, s.prepare(0.01))
     assert f64(s.state.l.eta) / before == pytest.approx(np.exp(-0.12), rel=1e-5)
 
 
@@ -156,12 +156,12 @@ def test_thickness_relaxes_to_that_of_e(device):
     lag.eta.assign((before / 1.25).astype(np.float32))
     s.transfer.gather()
     tau = film.numerics.thickness_time
-    s.transfer.e_to_l(film.zeros(film.n_e), tau * np.log(2.0))
+    s.transfer.e_to_l(film.zeros(film.n_e), s.prepare(tau * np.log(2.0)))
     expected = 0.5 * (np.log(1.25) - THICKNESS_SLACK)
     assert np.log(f64(lag.eta) / before * 1.25).mean() == pytest.approx(expected, abs=0.005)
     for _ in range(12):
         s.transfer.gather()
-        s.transfer.e_to_l(film.zeros(film.n_e), 10.0 * tau)
+        s.transfer.e_to_l(film.zeros(film.n_e), s.prepare(10.0 * tau))
     s.transfer.gather()
     claim = f64(s.transfer.claim) / f64(s.geometry.area)
     print(f"claim/area after: {claim.min():.3f} to {claim.max():.3f}")
@@ -188,7 +188,7 @@ def test_any_blend_conserves_momentum(flip, affinity, device):
     gain = np.zeros((film.total, 3))
     gain[: film.n_e] = np.random.default_rng(3).normal(size=(film.n_e, 3)) * [1.0, 0.0, 1.0]
     s.state.e.u.assign((f64(s.state.e.u) + gain).astype(np.float32))
-    s.transfer.e_to_l(film.zeros(film.n_e), 1e-3)
+    s.transfer.e_to_l(film.zeros(film.n_e), s.prepare(1e-3))
     given = (f64(s.state.e.mass)[:, None] * gain[: film.n_e]).sum(axis=0)
     after = (mass * f64(s.state.l.u)).sum(axis=0)
     assert np.abs(after - before - given).max() < 1e-6 * (mass * np.abs(f64(s.state.l.u))).sum()
@@ -204,7 +204,7 @@ def test_flip_without_forces_leaves_each_l_its_velocity(device):
         s.state.l.affine.zero_()
         before = f64(s.state.l.u)
         s.transfer.l_to_e()
-        s.transfer.e_to_l(film.zeros(film.n_e), 1e-3)
+        s.transfer.e_to_l(film.zeros(film.n_e), s.prepare(1e-3))
         left[flip] = np.abs(f64(s.state.l.u) - before).max()
     assert left[1.0] < 1e-5
     assert left[0.0] > 1.0
@@ -217,7 +217,7 @@ def test_flip_leaves_the_normal_motion_to_the_e(device):
     for stepper in (s, p):
         fill_l(stepper)
         stepper.transfer.l_to_e()
-        stepper.transfer.e_to_l(plain.zeros(plain.n_e), 1e-3)
+        stepper.transfer.e_to_l(plain.zeros(plain.n_e), stepper.prepare(1e-3))
     n = f64(s.state.l.normal)
     assert np.abs(np.sum((f64(s.state.l.u) - f64(p.state.l.u)) * n, axis=1)).max() < 1e-5
     assert np.abs(f64(s.state.l.u) - f64(p.state.l.u)).max() > 1.0

@@ -158,7 +158,7 @@ def test_midpoint_rule_goes_over_to_backward_euler():
     membrane, dx = simulation.stepper.membrane, simulation.film.spacing
     wave = np.sqrt(2.0 * 0.0728 / (997.0 * 400e-9))
     for cfl, theta in ((4.0, 0.5), (7.9, 0.5), (16.0, 0.75), (80.0, 0.95)):
-        membrane.solve(cfl * dx / wave)
+        membrane.prepare(cfl * dx / wave)
         assert membrane.theta == pytest.approx(theta, abs=2e-3)
         assert membrane.theta_whole == 0.5
 
