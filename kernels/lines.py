@@ -293,7 +293,7 @@ def owe_r(
         gained: from `gained_chunks`.
         turned: the same.
         middle: the same.
-        share: [1] how much of what was owed has been paid in the last step, where others covered the region; elsewhere all.
+        share: [1] how much of what was owed was paid in the last step, where others covered the region; elsewhere all.
         owed: momentum before a step's payment, kg m/s, and the area that others cover, m^2; in and out.
         spin: angular momentum about the region's centroid, kg m^2/s; in and out.
         place: centroid of the region's surface, m.
