@@ -89,7 +89,7 @@ def test_skin_of_opposed_motion(device):
 
     Two E may close in at twice the speed of one: a skin of 0.5 dx lasts for one such walk, not for two.
     """
-    film, s = make_stepper(SHAPES["closed"], 500, device)
+    film, s = make_stepper(SHAPES["closed"], 500, device, numerics={"skin": 0.5})
     x = s.state.e.x.numpy().astype(np.float64)
     way = np.random.default_rng(0).normal(size=x.shape)
     way *= 0.2 * film.spacing / np.linalg.norm(way, axis=1, keepdims=True)
@@ -129,7 +129,8 @@ def test_skin_keeps_every_pair(name, velocity, dt, device):
     E:E is used from the end of a step on, L:E and E:L from `update_l` on; between, the projection of the moved L reads
     pairs within its own shorter reach.
     """
-    film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4, velocity=velocity, surroundings=AIR)
+    skin = {"skin": 0.5}
+    film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4, numerics=skin, velocity=velocity, surroundings=AIR)
     start = positions(s)
     before = list(s.lists.builds)
     largest = 0.0

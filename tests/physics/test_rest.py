@@ -70,10 +70,10 @@ def test_fall_with_the_liquid_hanging_on_the_film():
 
 def test_flight_is_not_damped():
     """u = const, 10 m/s, 3.3 radii a step: momentum within 1e-4 over 100 steps, E as even as at the start."""
-    run = v.translation()
+    run, start = v.translation(), v.translation(count=1)
     assert run["error"] < 1e-4
     assert run["centre_error"] < 1e-4
-    assert run["e_spread"] < 0.05
+    assert run["e_spread"] < 1.2 * start["e_spread"]
 
 
 def test_free_bubble_keeps_its_momentum():
