@@ -10,11 +10,10 @@ from melp_warp.kernels.neighbors import Neighbors
 
 wp.set_module_options({"enable_backward": False})
 
-vec8 = wp.types.vector(length=8, dtype=wp.float32)
+vec6 = wp.types.vector(length=6, dtype=wp.float32)
 vec10 = wp.types.vector(length=10, dtype=wp.float32)
 vec17 = wp.types.vector(length=17, dtype=wp.float32)
 vec12 = wp.types.vector(length=12, dtype=wp.float32)
-vec16 = wp.types.vector(length=16, dtype=wp.float32)
 mat53 = wp.types.matrix(shape=(5, 3), dtype=wp.float32)
 mat58 = wp.types.matrix(shape=(5, 8), dtype=wp.float32)
 
@@ -26,6 +25,19 @@ LOOP = """
     for (int k = first; k < last; ++k)
 """
 """A loop over the neighbours of row i that may be summed in any order."""
+
+
+@wp.struct
+class Blocks:
+    """Points sorted into blocks: block h holds places start[h] to start[h + 1], all within reach[h] of its home.
+
+    The last block has no home and holds points of any region.
+    """
+
+    start: wp.array(dtype=wp.int32)
+    reach: wp.array(dtype=float)
+    region: wp.array(dtype=wp.int32)
+
 
 LANES = """
 #if !defined(__CUDA_ARCH__)
@@ -39,19 +51,29 @@ ROW = """
     const int first = rows.start.data[i], last = rows.stop.data[i];
 """
 
-OFFSET = """
-        const int j = index[k];
+FAR = """
         const float dx = scale * (q[3 * j] - px), dy = scale * (q[3 * j + 1] - py), dz = scale * (q[3 * j + 2] - pz);
         const float s = sqrtf(dx * dx + dy * dy + dz * dz);
 """
-"""Offset of neighbour k and its length, in h = r/3."""
+"""Offset of point j and its length, in h = r/3."""
 
-WEIGHT = """
+OFFSET = f"""
+        const int j = index[k];{FAR}"""
+"""The same for neighbour k."""
+
+VALUE = """
         const float a = s < 3.0f ? 3.0f - s : 0.0f, b = s < 2.0f ? 2.0f - s : 0.0f, c = s < 1.0f ? 1.0f - s : 0.0f;
         const float value = a * a * a * a * a - 6.0f * b * b * b * b * b + 15.0f * c * c * c * c * c;
+"""
+"""The quintic spline of `sph.kernel_w` for support 3 at s, but for its constant."""
+
+WEIGHT = f"""{VALUE}
         const float w = j < limit ? 0.004661441847f * value : 0.0f;
 """
-"""The quintic spline of `sph.kernel_w` for support 3 at (dx, dy, dz), none beyond index `limit`."""
+"""The spline at (dx, dy, dz), none beyond index `limit`."""
+
+OVER = LOOP.replace("int k = first; k < last; ++k", "int m = 0; m < count; ++m")
+"""The same loop over `count` points."""
 
 
 @wp.func_native(f"""{ROW}
@@ -230,52 +252,82 @@ def weigh_row_laplacian(
 
 
 @wp.func_native(f"""{ROW}
-    const float* q = (const float*)source.data;
-    const float* packs = (const float*)pack.data;
-    const float px = p[0], py = p[1], pz = p[2], scale = 3.0f / r, unit = scale * scale;
-    const int limit = source.shape[0];
-    const int room = 64;
-    float sums[16] = {{}}, turned[4] = {{}}, ws[room], xs[room], ys[room], zs[room];
-    for (int begin = first; begin < last; begin += room)
+    const int limit = block.start.shape[0] - 2;
+    const int* start = block.start.data;
+    const float* homes = (const float*)home.data;
+    const float* packs = pack.data;
+    const float px = homes[3 * i], py = homes[3 * i + 1], pz = homes[3 * i + 2], scale = 3.0f / r;
+    float sums[6][8] = {{}};
+    for (int n = first - 1; n <= last; ++n)
     {{
-        const int count = last - begin < room ? last - begin : room;
-        {{{LOOP.replace("int k = first; k < last; ++k", "int m = 0; m < count; ++m")}
+        const int h = n < first ? i : n < last ? index[n] : limit;
+        if (h >= limit && n < last)
+            continue;
+        if (h < limit)
         {{
-            const int k = begin + m;
-            {OFFSET}{WEIGHT}
-            ws[m] = unit * w;
-            xs[m] = dx / -scale;
-            ys[m] = dy / -scale;
-            zs[m] = dz / -scale;
+            const float hx = homes[3 * h] - px, hy = homes[3 * h + 1] - py, hz = homes[3 * h + 2] - pz;
+            const float most = r + block.reach.data[h];
+            if (hx * hx + hy * hy + hz * hz > most * most)
+                continue;
         }}
-        }}
-        for (int m = 0; m < count; ++m)
+        const int begin = start[h], end = start[h + 1];
+        for (int from = begin & ~7; from < end; from += 8)
         {{
-            const float* row = packs + 16 * (size_t)index[begin + m];
-            float t[16];
-            for (int c = 0; c < 16; ++c)
-                t[c] = ws[m] * row[c];
-            for (int c = 0; c < 16; ++c)
-                sums[c] += t[c];
-            for (int c = 0; c < 4; ++c)
-                turned[c] += xs[m] * t[4 + c] + ys[m] * t[8 + c] + zs[m] * t[12 + c];
+            const float* g = packs + 18 * (size_t)from;
+            float w[8];
+            for (int lane = 0; lane < 8; ++lane)
+                w[lane] = from + lane >= begin && from + lane < end ? 1.0f : 0.0f;
+            if (h == limit)
+                for (int lane = 0; lane < 8; ++lane)
+                    w[lane] = w[lane] > 0.0f && block.region.data[from + lane] == region ? 1.0f : 0.0f;
+{LANES}
+            for (int lane = 0; lane < 8; ++lane)
+            {{
+                const float ox = px - g[lane], oy = py - g[8 + lane], oz = pz - g[16 + lane];
+                const float s = scale * sqrtf(ox * ox + oy * oy + oz * oz);
+{VALUE}                const float v = w[lane] * value;
+                for (int m = 0; m < 3; ++m)
+                {{
+                    const float* t = g + 24 + 8 * m + lane;
+                    sums[m][lane] += v * (t[0] + ox * t[48] + oy * t[72] + oz * t[96]);
+                    sums[3 + m][lane] += v * t[24];
+                }}
+            }}
         }}
     }}
-    wp::vec_t<8, float> total;
-    for (int c = 0; c < 3; ++c)
-        total[c] = sums[c] + turned[c];
-    for (int c = 0; c < 3; ++c)
-        total[3 + c] = sums[3 + 4 * c];
+    wp::vec_t<6, float> total;
+    for (int m = 0; m < 6; ++m)
+        for (int lane = 0; lane < 8; ++lane)
+            total[m] += 0.004661441847f * scale * scale * sums[m][lane];
     return total;
 """)
-def gather_row(
-    i: int, p: wp.vec3, source: wp.array(dtype=wp.vec3), pack: wp.array(dtype=vec16), rows: Neighbors, r: float
-) -> vec8:
-    """sum_j W(|d|, r) (m_j + S_j d, s_j) with d = p - source_j, three sums each.
+def gather_blocks(
+    i: int,
+    home: wp.array(dtype=wp.vec3),
+    region: int,
+    pack: wp.array(dtype=float),
+    block: Blocks,
+    rows: Neighbors,
+    r: float,
+) -> vec6:
+    """sum_j W(|d|, r) (m_j + S_j d, s_j) with d = home_i - x_j over blocks of points, three sums each.
 
-    A pack is (m, s_0, S_x, s_1, S_y, s_2, S_z, -) with S_x, S_y, S_z the columns of S.
+    The blocks are those of i, of the entries of its row, and of the last block the points in `region`. A pack holds
+    eight points, component by component: x, m, s and the columns of S, see `write_pack`.
     """
     ...
+
+
+@wp.func
+def write_pack(place: int, x: wp.vec3, m: wp.vec3, s: wp.vec3, slope: wp.mat33, pack: wp.array(dtype=float)):
+    """Write the eighteen numbers of the point at `place` for `gather_blocks`."""
+    at = 144 * (place / 8) + place % 8
+    for a in range(3):
+        pack[at + 8 * a] = x[a]
+        pack[at + 8 * (3 + a)] = m[a]
+        pack[at + 8 * (6 + a)] = s[a]
+        for b in range(3):
+            pack[at + 8 * (9 + 3 * b + a)] = slope[a, b]
 
 
 @wp.func_native(f"""{ROW}

@@ -8,11 +8,17 @@ import warp as wp
 from melp_warp.errors import CrowdedError, LeapError
 from melp_warp.film import Film
 from melp_warp.kernels import diagnostics as kd
+from melp_warp.kernels import homes as kh
 from melp_warp.kernels import neighbors as kn
+from melp_warp.kernels.rows import Blocks
 from melp_warp.launch import launch
 from melp_warp.state import State
 
 GRID_CELLS = 64
+
+HOME_MARGIN = 0.8
+"""Distance from its home within which an L is found without a grid, spacings; 0.71 is the farthest in a square grid."""
+
 STRAYS = 0.01
 """Share of the L that may lose the film at once; one always may."""
 
@@ -101,27 +107,70 @@ class NeighborList:
         check_room(self.wanted, self.stride, name)
 
 
-class TransposedList:
-    """The transpose of a list, boundary entries left out: for each of `n` columns the rows it occurs in."""
+class HomeList(NeighborList):
+    """L:E, picked from a wide E:E row around the home of each L, the E nearest to it; E first in each row.
 
-    def __init__(self, n: int, other: NeighborList):
-        self.n, self.other = n, other
-        self.count = wp.zeros(n, dtype=wp.int32, device=other.device)
-        self.rows = _rows(n, other.rows.index.shape[0], other.device)
+    Attributes:
+        home: [n_l] nearest E when the list was last built.
+        margin: distance from its home within which an L's neighbours are in the wide row, m.
+    """
+
+    def __init__(self, grid: wp.HashGrid, film: Film, state: State, wide: NeighborList, reach: float, margin: float):
+        self.home, self.margin, self._wide, self._n_e = film.zeros(film.n_l, wp.int32), margin, wide, film.n_e
+        regions = (state.l.region, state.e.region) if film.features.foam else None
+        super().__init__(grid, state.l.x, film.n_l, state.e.x, reach, kn.ALL, regions, times=film.room)
+
+    def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
+        """Fill the list and find the homes anew."""
+        of_x, of_source = self.regions
+        launch(
+            kh.fill_neighbors_l,
+            self.n,
+            [
+                *(grid.id, x, source, self.radius, of_x, of_source),
+                *(self._wide.rows, self._n_e, self.margin, self.stride),
+            ],
+            [self.home, self.rows, self.wanted],
+            self.device,
+        )
+
+
+class BlockList:
+    """E:L as the L sorted by their homes: those near an E are in the blocks of the E in its wide row.
+
+    L that are farther than a margin from any E are in a last block, at which every E looks.
+
+    Attributes:
+        blocks: where the block of each E starts.
+        place: [n_l] place of each L.
+    """
+
+    def __init__(self, film: Film, state: State, le: HomeList):
+        self.film, self.state, self._le = film, state, le
+        self._key, self._order = (film.zeros(2 * film.n_l, wp.int32) for _ in range(2))  # as the sort wants it
+        self.place = film.zeros(film.n_l, wp.int32)
+        self.blocks = Blocks()
+        self.blocks.start, self.blocks.reach = film.zeros(film.n_e + 2, wp.int32), film.zeros(film.n_e)
+        self.blocks.region = film.zeros(film.n_l + 7, wp.int32)  # read by eights
         self.build()
 
     def build(self) -> None:
-        """Transpose the other list as it is now."""
-        other, device = self.other, self.other.device
-        self.count.zero_()
-        launch(kn.count_columns, other.n, [other.rows, self.n], [self.count], device)
-        wp.utils.array_scan(self.count, self.rows.start, inclusive=False)
-        wp.copy(self.rows.stop, self.rows.start)
-        launch(kn.transpose_rows, other.n, [other.rows, self.n], [self.rows], device)
+        """Sort the L by their present homes."""
+        film, le = self.film, self._le
+        x_e, lag = self.state.e.x, self.state.l
+        launch(kh.key_l, film.n_l, [lag.x, x_e, le.home, le.margin, film.n_e], [self._key, self._order], film.device)
+        wp.utils.radix_sort_pairs(self._key, self._order, film.n_l)
+        outputs = [self.blocks.start, self.place, self.blocks.region]
+        launch(kh.start_blocks_l, film.n_l, [self._key, self._order, lag.region, film.n_l], outputs, film.device)
+        skin = film.numerics.skin * film.spacing
+        found = [x_e, lag.x, self._order, self.blocks.start, skin]
+        film.launch_e(kh.measure_blocks_e, found, [self.blocks.reach])
 
 
 class NeighborLists:
     """The lists of a film: E:E (boundary included), L:E, E:L, mirror points:E, and in foams E to E of other regions.
+
+    `wide` is an E:E list from which those between E and L are made.
 
     Lists reach `skin` beyond the support and are rebuilt when particles have moved so far that a pair could be
     missing. Row entries of `ee` are what the geometry's pair arrays are aligned with.
@@ -145,15 +194,18 @@ class NeighborLists:
         of_both, room = ((of_e, of_e), CROWD_ROOM) if several else (None, 8)
         times = film.room
         self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, kn.SAME, of_both, room, times)
-        self.le = self.el = self.be = self.eo = None
+        self.wide = self.le = self.el = self.be = self.eo = None
         if several:
             reach = film.contact_reach + self.skin
             self.eo = NeighborList(self._grid, x, film.n_e, x, reach, kn.OTHER, of_both, FACING_ROOM, times)
         if state.l is not None:
-            regions = (state.l.region, of_e) if several else None
-            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, kn.ALL, regions, times=times)
+            margin = HOME_MARGIN * film.spacing
+            wide = self.reach + self.skin + margin  # two E may have come closer by a skin since it was made
+            self.wide = NeighborList(self._grid, x, film.n_e, x, wide, kn.SAME, of_both, room, times)
+            self._part_wide()
+            self.le = HomeList(self._grid, film, state, self.wide, self.reach, margin)
             self._return_strays()
-            self.el = TransposedList(film.n_e, self.le)
+            self.el = BlockList(film, state, self.le)
         if film.features.rim:
             reach = self.mirror_reach + self.skin
             self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, reach, kn.ALL, times=times)
@@ -170,6 +222,9 @@ class NeighborLists:
             self.eo.build(self._grid, x, x)
         if self.be is not None:
             self.be.build(self._grid, self.film.rim.mirror, x)
+        if self.wide is not None:
+            self.wide.build(self._grid, x, x)
+            self._part_wide()
         self.film.launch_one(kn.reset_travel, [0], [self.travel])
         self.builds[0] += 1
 
@@ -183,16 +238,21 @@ class NeighborLists:
         self.film.launch_one(kn.reset_travel, [1], [self.travel])
         self.builds[1] += 1
 
+    def _part_wide(self) -> None:
+        """Put boundary particles last in the wide rows."""
+        if self.film.features.rim:
+            self.film.launch_e(kh.part_rows_e, [self.film.n_e], [self.wide.rows])
+
     def _return_strays(self) -> None:
         """Put L that have lost the film back onto it, with the neighbours of the E where they land."""
         e, lag, film = self.state.e, self.state.l, self.film
         film.launch_l(
-            kn.return_strays_l,
+            kh.return_strays_l,
             [
                 *(e.x, e.region, self.ee.rows),
                 *(lag.region, film.n_e, film.r, self.le.stride),
             ],
-            [lag.x, self.le.rows, self.le.wanted],
+            [self.le.home, lag.x, self.le.rows, self.le.wanted],
         )
 
     @property

@@ -22,7 +22,6 @@ def evaluate_rows(
     f: wp.array(dtype=float),
     frame: wp.array(dtype=wp.vec3),
     turn: kr.mat53,
-    pack16: wp.array(dtype=kr.vec16),
     pack12: wp.array(dtype=kr.vec12),
     rows: Neighbors,
     r: float,
@@ -44,9 +43,6 @@ def evaluate_rows(
     q = kr.cloud_moments(i, x, rows, r)
     for c in range(10):
         out[i, 22 + c] = q[c]
-    g = kr.gather_row(i, x[i], x, pack16, rows, r)
-    for c in range(6):
-        out[i, 32 + c] = g[c]
     kr.write_row_gradient(i, x, frame[0], frame[1], turn, rows, r, limit, gradient)
     kr.weigh_row_laplacian(i, x, f, rows, r, limit, 0.7, laplacian)
 
@@ -84,7 +80,7 @@ def cloud(device):
     columns = [rng.permutation(np.delete(np.arange(N), i))[: i % 41] for i in range(N)]
     frame = np.linalg.qr(rng.normal(size=(3, 3)))[0].astype(np.float32)
     turn = rng.normal(size=(5, 3)).astype(np.float32)
-    p16, p12 = rng.normal(size=(N, 16)).astype(np.float32), rng.normal(size=(N, 12)).astype(np.float32)
+    p12 = rng.normal(size=(N, 12)).astype(np.float32)
     p12[:, :3], p12[:, 6] = x, 1.0
     rows = make_rows(columns, device)
     pairs = rows.index.shape[0]
@@ -96,14 +92,14 @@ def cloud(device):
         return wp.array(values, dtype=dtype, device=device)
 
     wx, w12 = array(x, wp.vec3), array(p12, kr.vec12)
-    inputs = [wx, array(f, float), array(frame, wp.vec3), kr.mat53(*turn.ravel().tolist()), array(p16, kr.vec16), w12]
+    inputs = [wx, array(f, float), array(frame, wp.vec3), kr.mat53(*turn.ravel().tolist()), w12]
     launch(evaluate_rows, N, [*inputs, rows, R, LIMIT], [pair, laplacian, gradient, out], device)
     launch(evaluate_moments, N, [wx, w12, pair, rows], [moments], device)
     made = {"pair": pair, "laplacian": laplacian, "gradient": gradient, "out": out, "moments": moments}
     made = {name: a.numpy() for name, a in made.items()}
     i, j = np.repeat(np.arange(N), [len(c) for c in columns]), np.concatenate(columns).astype(int)
     d = x[j].astype(float) - x[i]
-    return made, i, j, d, {"x": x, "f": f, "frame": frame, "turn": turn, "p16": p16, "p12": p12}
+    return made, i, j, d, {"x": x, "f": f, "frame": frame, "turn": turn, "p12": p12}
 
 
 def by_row(i, values):
@@ -152,13 +148,72 @@ def test_cloud_moments(cloud):
     agree(made["out"][:, 22:32], by_row(i, w[:, None] * np.stack(terms, axis=1)))
 
 
-def test_gathered_pack(cloud):
-    """`gather_row`: sum of W (m + S d, s) with d from the neighbour to the point."""
-    made, i, j, d, given = cloud
-    pack = given["p16"].astype(float)[j].reshape(-1, 4, 4)
-    w = 9.0 / R**2 * spline(3.0 * np.linalg.norm(d, axis=1) / R)
-    vector = pack[:, 0, :3] - np.einsum("kac,ka->kc", pack[:, 1:, :3], d)
-    agree(made["out"][:, 32:38], by_row(i, w[:, None] * np.column_stack([vector, pack[:, :3, 3]])))
+@wp.kernel(enable_backward=False)
+def pack_points(
+    x: wp.array(dtype=wp.vec3),
+    m: wp.array(dtype=wp.vec3),
+    s: wp.array(dtype=wp.vec3),
+    slope: wp.array(dtype=wp.mat33),
+    pack: wp.array(dtype=float),
+):
+    i = wp.tid()
+    kr.write_pack(i, x[i], m[i], s[i], slope[i], pack)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_blocks(
+    home: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    pack: wp.array(dtype=float),
+    block: kr.Blocks,
+    rows: Neighbors,
+    r: float,
+    out: wp.array2d(dtype=float),
+):
+    i = rows.first + wp.tid()
+    g = kr.gather_blocks(i, home, region[i], pack, block, rows, r)
+    for c in range(6):
+        out[i, c] = g[c]
+
+
+def test_gathered_blocks(device):
+    """`gather_blocks`: sum of W (m + S d, s) over the blocks of a row, of itself, and of the last its region's points.
+
+    Blocks of none to forty points; an entry beyond the blocks and a block out of reach are passed over.
+    """
+    rng = np.random.default_rng(4)
+    homes = rng.uniform(-0.5, 0.5, (N, 3))
+    size = rng.integers(0, 14, N + 1)
+    size[[3, N]] = 40, 9
+    start = np.concatenate([[0], np.cumsum(size)])
+    owner = np.repeat(np.arange(N + 1), size)
+    total = len(owner)
+    x = np.concatenate([homes, [[0.0, 0.0, 0.0]]])[owner] + rng.uniform(-0.2, 0.2, (total, 3))
+    m, s, slope = rng.normal(size=(total, 3)), rng.normal(size=(total, 3)), rng.normal(size=(total, 3, 3))
+    own, of = rng.integers(0, 2, N), np.concatenate([rng.integers(0, 2, total), np.zeros(7, dtype=int)])
+    columns = [rng.permutation(np.delete(np.arange(N + 3), i))[: i % 41] for i in range(N)]
+
+    def array(values, dtype):
+        return wp.array(values.astype(np.int32 if dtype is wp.int32 else np.float32), dtype=dtype, device=device)
+
+    block = kr.Blocks()
+    distance = np.linalg.norm(x[: start[N]] - homes[owner[: start[N]]], axis=1)
+    reach = np.array([distance[owner[: start[N]] == h].max(initial=0.0) for h in range(N)])
+    block.start, block.reach, block.region = array(start, wp.int32), array(1.001 * reach, float), array(of, wp.int32)
+    pack = wp.zeros(144 * -(-total // 8), dtype=float, device=device)
+    out = wp.zeros((N, 6), dtype=float, device=device)
+    inputs = [array(x, wp.vec3), array(m, wp.vec3), array(s, wp.vec3), array(slope, wp.mat33)]
+    launch(pack_points, total, inputs, [pack], device)
+    rows = make_rows(columns, device)
+    launch(evaluate_blocks, N, [array(homes, wp.vec3), array(own, wp.int32), pack, block, rows, R], [out], device)
+    expected = np.zeros((N, 6))
+    for i in range(N):
+        among = np.isin(owner, [i, *columns[i]]) & (owner < N) | (owner == N) & (of[:total] == own[i])
+        d = homes[i] - x[among]
+        w = 9.0 / R**2 * spline(3.0 * np.linalg.norm(d, axis=1) / R)[:, None]
+        expected[i, :3] = np.sum(w * (m[among] + np.einsum("kac,kc->ka", slope[among], d)), axis=0)
+        expected[i, 3:] = np.sum(w * s[among], axis=0)
+    agree(out.numpy(), expected)
 
 
 def test_moments_of_pack(cloud):
