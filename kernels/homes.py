@@ -7,87 +7,12 @@ L are sorted by their homes, and those near an E are in the blocks of the E in i
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import OVER
+from melp_warp.kernels.rows import list_around_home
 
 wp.set_module_options({"enable_backward": False})
 
 WALK = wp.constant(3)
 """Steps from home to home before an L that went far is looked up in the grid."""
-
-DISTANCE = """
-            const float dx = q[3 * j] - px, dy = q[3 * j + 1] - py, dz = q[3 * j + 2] - pz;
-            const float dd = dx * dx + dy * dy + dz * dz;
-"""
-
-
-@wp.func_native(f"""
-    const int* index = wide.index.data;
-    const int first = wide.start.data[home], last = wide.stop.data[home], room = 64;
-    const float* q = (const float*)x.data;
-    const float px = p[0], py = p[1], pz = p[2], most = radius * radius;
-    int* row = out.data + begin;
-    union {{ float value[room]; unsigned bits[room]; }} square;
-    int kept[room], n = 0, nearest = home;
-    const float hx = q[3 * home] - px, hy = q[3 * home + 1] - py, hz = q[3 * home + 2] - pz;
-    float least = hx * hx + hy * hy + hz * hz;
-    if (least <= most)
-    {{
-        if (stride > 0)
-            row[0] = home;
-        n = 1;
-    }}
-    for (int from = first; from < last; from += room)
-    {{
-        const int* candidate = index + from;
-        const int count = last - from < room ? last - from : room;
-        unsigned best = ~0u;
-        {{{OVER}
-        {{
-            const int j = candidate[m];
-{DISTANCE}            square.value[m] = dd;
-        }}
-        }}
-        for (int m = 0; m < count; ++m)
-        {{
-            const unsigned key = candidate[m] < limit ? (square.bits[m] & ~63u) | (unsigned)m : ~0u;
-            best = key < best ? key : best;
-        }}
-        if (best != ~0u && square.value[best & 63u] < least)
-        {{
-            least = square.value[best & 63u];
-            nearest = candidate[best & 63u];
-        }}
-        int* to = n + count <= stride ? row + n : kept;
-        int found = 0;
-        for (int m = 0; m < count; ++m)
-        {{
-            to[found] = candidate[m];
-            found += square.value[m] <= most;
-        }}
-        if (to == kept)
-            for (int m = 0; m < found && n + m < stride; ++m)
-                row[n + m] = kept[m];
-        n += found;
-    }}
-    return wp::vec_t<2, int>(n, nearest);
-""")
-def list_around_home(
-    home: int,
-    p: wp.vec3,
-    x: wp.array(dtype=wp.vec3),
-    wide: Neighbors,
-    radius: float,
-    limit: int,
-    begin: int,
-    stride: int,
-    out: wp.array(dtype=wp.int32),
-) -> wp.vec2i:
-    """Write `home` and those of its wide row within `radius` of p to `out` from `begin` on, at most `stride`.
-
-    Returns how many there are, and which of them, below index `limit`, is nearest to p, to 1e-5 of the squared
-    distance: six bits of that hold the place of the candidate.
-    """
-    ...
 
 
 @wp.func

@@ -21,7 +21,7 @@ from melp_warp.kernels import exchange as kx
 from melp_warp.kernels import foam as kf
 from melp_warp.kernels import lines as kl
 from melp_warp.kernels import motion as ko
-from melp_warp.kernels.cells import CORNERS
+from melp_warp.kernels.rows import CORNERS
 from melp_warp.launch import Shared
 from melp_warp.linear import GasConjugateGradient, LinearOperator
 from melp_warp.membrane import close_volume

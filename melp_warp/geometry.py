@@ -11,6 +11,7 @@ from melp_warp.kernels import gas as kv
 from melp_warp.kernels import geometry as kg
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.rows import CORNERS
 from melp_warp.neighbors import NeighborLists, fixed_rows
 from melp_warp.state import State
 
@@ -52,8 +53,8 @@ class Geometry:
         self._volume = film.parts(wp.vec2d)
         self.star, self._found, self.tie, self.vector = Neighbors(), None, None, None
         if film.features.foam:
-            self.star = fixed_rows(film.n_e, kc.CORNERS, film.device)
-            self._found, self.tie = (film.zeros(film.n_e * kc.CORNERS) for _ in range(2))
+            self.star = fixed_rows(film.n_e, CORNERS, film.device)
+            self._found, self.tie = (film.zeros(film.n_e * CORNERS) for _ in range(2))
             self.vector = film.zeros(film.n_e, wp.vec3)
 
     def update(self) -> None:

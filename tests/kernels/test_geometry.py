@@ -6,7 +6,7 @@ import warp as wp
 
 from melp_warp.kernels import geometry as kg
 from melp_warp.shapes import Ellipsoid, Rectangle, Samples, Sphere
-from tests.helpers import Jittered, Patch, fitted_order, make_rows, make_stepper, near, pairs_of, place_e
+from tests.helpers import Jittered, Patch, fitted_order, make_rows, make_stepper, near, pairs_of, place_e, places_of
 
 COUNTS = (500, 2000, 8000, 32000)
 RADIUS = 0.05
@@ -138,13 +138,14 @@ def test_cylinder_second_order(device):
         samples, flat, middle = cylinder_and_plane(count)
         film, s = make_stepper(Patch(samples), count, device)
         _, plane = make_stepper(Patch(flat), count, device)
+        at, there = places_of(s, samples.points)[middle], places_of(plane, flat.points)[middle]
         spacings.append(film.spacing)
         errors.append(
             [
-                np.abs(s.geometry.curvature(s.state.e.x).numpy() + 1.0)[middle].max(),
-                np.linalg.norm(s.state.e.normal.numpy() - samples.normals, axis=1)[middle].max(),
-                np.abs(s.geometry.area.numpy() / plane.geometry.area.numpy() - 1.0)[middle].max(),
-                np.abs(s.geometry.cell.numpy() / plane.geometry.cell.numpy() - 1.0)[middle].max(),
+                np.abs(s.geometry.curvature(s.state.e.x).numpy() + 1.0)[at].max(),
+                np.linalg.norm(s.state.e.normal.numpy()[at] - samples.normals[middle], axis=1).max(),
+                np.abs(s.geometry.area.numpy()[at] / plane.geometry.area.numpy()[there] - 1.0).max(),
+                np.abs(s.geometry.cell.numpy()[at] / plane.geometry.cell.numpy()[there] - 1.0).max(),
             ]
         )
     for quantity, values in zip(("curvature", "normal", "area", "cell"), np.transpose(errors), strict=True):

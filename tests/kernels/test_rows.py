@@ -9,6 +9,7 @@ from melp_warp.cluster import Bubble, Cluster, Wall
 from melp_warp.kernels import rows as kr
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.launch import launch
+from melp_warp.neighbors import fixed_rows
 from melp_warp.shapes import Disc, Sphere
 from tests.helpers import make_rows, make_stepper
 
@@ -240,6 +241,165 @@ def test_laplacian_weights(cloud):
     made, i, j, d, given = cloud
     f, s = given["f"].astype(float), 3.0 * np.linalg.norm(d, axis=1) / R
     agree(made["laplacian"], f[i] * np.where(j < LIMIT, f[j], 0.7) * 2.0 * (3.0 / R) ** 4 * slope(s) / s)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_lists(
+    x: wp.array(dtype=wp.vec3),
+    home: wp.array(dtype=wp.int32),
+    p: wp.array(dtype=wp.vec3),
+    wide: Neighbors,
+    radius: float,
+    limit: int,
+    stride: int,
+    # outputs
+    found: wp.array(dtype=wp.vec2i),
+    out: wp.array(dtype=wp.int32),
+):
+    i = wp.tid()
+    found[i] = kr.list_around_home(home[i], p[i], x, wide, radius, limit, i * stride, stride, out)
+
+
+@pytest.mark.parametrize("stride", [70, 4])
+def test_list_around_home(stride, device):
+    """`list_around_home`: the home and its row's points within the radius, no more than fit; the nearest one."""
+    rng = np.random.default_rng(5)
+    n = 150
+    x = rng.uniform(-0.5, 0.5, (n, 3)).astype(np.float32)
+    columns = [rng.permutation(np.delete(np.arange(n), i))[: i % 141] for i in range(n)]
+    home = rng.integers(0, n, 80)
+    p = (x[home] + rng.uniform(-0.3, 0.3, (80, 3))).astype(np.float32)
+    found, out = wp.zeros(80, dtype=wp.vec2i, device=device), wp.full(80 * stride, -1, dtype=wp.int32, device=device)
+    inputs = [wp.array(x, dtype=wp.vec3, device=device), wp.array(home.astype(np.int32), device=device)]
+    inputs += [wp.array(p, dtype=wp.vec3, device=device), make_rows(columns, device), 0.4, 100, stride]
+    launch(evaluate_lists, 80, inputs, [found, out], device)
+    out, found = out.numpy().reshape(80, stride), found.numpy()
+    for i, h in enumerate(home):
+        among = np.array([h, *columns[h]])
+        apart = np.linalg.norm(x[among].astype(float) - p[i].astype(float), axis=1)
+        want = set(among[apart <= 0.4].tolist())
+        got = out[i, : found[i, 0]].tolist()
+        assert found[i, 0] == len(want)
+        assert len(got) == len(set(got)) == min(len(want), stride)
+        assert set(got) <= want
+        allowed = (among < 100) | (among == h)
+        assert found[i, 1] == among[allowed][apart[allowed].argmin()]
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_products(a: wp.array(dtype=float), b: wp.array(dtype=float), begin: int, out: wp.array(dtype=float)):
+    out[0] = kr.sum_products(a, b, begin, a.shape[0])
+
+
+def test_sum_products(device):
+    """`sum_products`: the sum of a_k b_k over a range."""
+    a, b = np.random.default_rng(6).normal(size=(2, 1003)).astype(np.float32)
+    out = wp.zeros(1, dtype=float, device=device)
+    launch(evaluate_products, 1, [wp.array(a, device=device), wp.array(b, device=device), 5], [out], device)
+    terms = a[5:].astype(float) * b[5:]
+    assert abs(out.numpy()[0] - terms.sum()) < 1e-6 * np.abs(terms).sum()
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_heights(
+    p: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=kr.Quadric),
+    rows: Neighbors,
+    r: float,
+    limit: int,
+    # outputs
+    out: wp.array(dtype=wp.vec3),
+):
+    i = rows.first + wp.tid()
+    out[i] = kr.height_over_fits(i, p[i], x, surface, rows, r, limit)
+
+
+def test_height_over_fits(device):
+    """`height_over_fits`: weighted mean of the heights over the fits along their normals; 0 where none is near."""
+    rng = np.random.default_rng(7)
+    x, p = rng.uniform(-0.5, 0.5, (2, N, 3))
+    p[4] = 9.0
+    fits = rng.normal(size=(N, 15)).astype(np.float32)
+    columns = [rng.permutation(N)[: i % 41] for i in range(N)]
+    places = [wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in (p, x)]
+    surface = wp.array(fits.view(kr.Quadric.numpy_dtype()).ravel(), dtype=kr.Quadric, device=device)
+    out = wp.zeros(N, dtype=wp.vec3, device=device)
+    launch(evaluate_heights, N, [*places, surface, make_rows(columns, device), R, LIMIT], [out], device)
+    normal, gradient, second = fits[:, :3], fits[:, 3:6], fits[:, 6:].reshape(-1, 3, 3)
+    expected = np.zeros((N, 3))
+    for i, row in enumerate(columns):
+        j = row[row < LIMIT]
+        d = p[i] - x[j]
+        w = spline(3.0 * np.linalg.norm(d, axis=1) / R)
+        height = np.sum(d * (gradient[j] - np.einsum("kab,kb->ka", second[j], d)), axis=1)
+        if w.sum() > 0.0:
+            expected[i] = (w * height) @ normal[j] / w.sum()
+    agree(out.numpy(), expected)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_cells(
+    x: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    # outputs
+    star: Neighbors,
+    weight: wp.array(dtype=float),
+    out: wp.array(dtype=kr.vec6),
+):
+    i = rows.first + wp.tid()
+    e1 = wp.vec3(1.0, 0.0, 0.0)
+    e2 = wp.vec3(0.0, 1.0, 0.0)
+    out[i] = kr.cut_cell(i, x, e1, e2, wp.vec3(0.0, 0.0, 1.0), rows, r, star, weight)
+
+
+def clipped(lines, half):
+    """Corners of the square of side 2 half cut by every line (u, v, offset, label), and the label of each edge."""
+    corners = [half * np.array(c) for c in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    labels = [-1] * 4
+    for u, v, offset, label in lines:
+        kept, names = [], []
+        for k, c in enumerate(corners):
+            before, name = corners[k - 1], labels[k - 1]
+            s, t = before @ (u, v) - offset, c @ (u, v) - offset
+            if (s < 0.0) != (t < 0.0):
+                kept.append(before + s / (s - t) * (c - before))
+                names.append(label if s < 0.0 else name)
+            if t < 0.0:
+                kept.append(c)
+                names.append(labels[k])
+        corners, labels = kept, names
+    return np.array(corners), labels
+
+
+def test_cut_cell(device):
+    """`cut_cell`: moments and star of a cell cut by the lines of all in its row, one after another."""
+    rng = np.random.default_rng(8)
+    i = np.arange(N)
+    flat = np.stack([i % 8, i // 8], axis=1) + rng.uniform(-0.3, 0.3, (N, 2))
+    x = (0.3 * np.column_stack([flat, 0.1 * rng.normal(size=N)])).astype(np.float32)
+    columns = [rng.permutation(np.delete(i, k)) for k in i]
+    out, weight = wp.zeros(N, dtype=kr.vec6, device=device), wp.zeros(kr.CORNERS * N, dtype=float, device=device)
+    star = fixed_rows(N, kr.CORNERS, device)
+    inputs = [wp.array(x, dtype=wp.vec3, device=device), make_rows(columns, device), R]
+    launch(evaluate_cells, N, inputs, [star, weight, out], device)
+    starts, stops, index, weight = star.start.numpy(), star.stop.numpy(), star.index.numpy(), weight.numpy()
+    for k in i:
+        d = x[columns[k]].astype(float) - x[k]
+        offset = 0.5 * (d[:, 0] ** 2 + d[:, 1] ** 2 + 0.444 * d[:, 2] ** 2)
+        corners, labels = clipped(zip(d[:, 0], d[:, 1], offset, columns[k], strict=True), 0.5 * R)
+        after = np.roll(corners, -1, axis=0)
+        (u, v), (s, t) = corners.T, after.T
+        cross = u * t - v * s
+        terms = [cross / 2, cross / 6 * (u + s), cross / 6 * (v + t), cross / 12 * (u * u + u * s + s * s)]
+        terms += [cross / 24 * (2 * u * v + u * t + s * v + 2 * s * t), cross / 12 * (v * v + v * t + t * t)]
+        np.testing.assert_allclose(out.numpy()[k], np.sum(terms, axis=1), atol=2e-7)
+        got = dict(zip(index[starts[k] : stops[k]], weight[starts[k] : stops[k]], strict=True))
+        apart = np.linalg.norm(x[labels] - x[k], axis=1)
+        ties = np.linalg.norm(after - corners, axis=1) / np.maximum(apart, 1e-9)
+        expected = {label: tie for label, tie in zip(labels, ties, strict=True) if label >= 0 and tie > 1e-3}
+        assert {j: w for j, w in got.items() if w > 1e-3} == pytest.approx(expected, abs=1e-4)
 
 
 def swirl(x):
