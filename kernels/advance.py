@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from melp_warp.kernels.mls import Quadric, height_above
+from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import weigh_row
+from melp_warp.kernels.rows import height_over_fits, weigh_row
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -112,18 +112,4 @@ def project_l(
         x_l: [n_l] m.
     """
     i = rows.first + wp.tid()
-    p = x_l[i]
-    total = float(0.0)
-    shift = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        if j < n_e:
-            d = p - x_e[j]
-            dd = wp.length_sq(d)
-            if dd < r * r:
-                w = kernel_w(wp.sqrt(dd), r)
-                total += w
-                q = surface[j]
-                shift += w * height_above(q, d) * q.normal
-    if total > 0.0:
-        x_l[i] = p - shift / total
+    x_l[i] = x_l[i] - height_over_fits(i, x_l[i], x_e, surface, rows, r, n_e)

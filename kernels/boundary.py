@@ -59,8 +59,10 @@ def confine_l(
     # outputs
     x_l: wp.array(dtype=wp.vec3),
 ):
-    """Put L that have crossed the rim back onto it. [n_l], m."""
+    """Put L that have crossed the rim back onto it. [n_l], m. Boundary particles, if any, are last in a row."""
     i = rows.first + wp.tid()
+    if rows.stop[i] == rows.start[i] or rows.index[rows.stop[i] - 1] < n_e:
+        return
     p = x_l[i]
     nearest = float(1.0e30)
     depth = float(0.0)

@@ -4,90 +4,10 @@ import warp as wp
 
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.rows import cut_cell
 from melp_warp.kernels.sph import kernel_w, tangent_basis
 
 wp.set_module_options({"enable_backward": False})
-
-CORNERS = 16
-"""Most corners of a cell."""
-
-mat3x16 = wp.types.matrix(shape=(3, CORNERS), dtype=wp.float32)
-
-
-@wp.func
-def clip_cell(cell: mat3x16, count: int, u: float, v: float, half: float, label: float):
-    """Cut a polygon by the line q.(u, v) = half, keeping the origin's side.
-
-    Columns of a cell are corners: coordinates and the label of the line that the edge to the next corner lies on.
-    """
-    kept = mat3x16()
-    n = int(0)
-    px = cell[0, count - 1]
-    py = cell[1, count - 1]
-    pl = cell[2, count - 1]
-    sp = px * u + py * v - half
-    for m in range(count):
-        qx = cell[0, m]
-        qy = cell[1, m]
-        sq = qx * u + qy * v - half
-        if (sp < 0.0) != (sq < 0.0) and n < 16:
-            t = sp / (sp - sq)
-            kept[0, n] = px + t * (qx - px)
-            kept[1, n] = py + t * (qy - py)
-            kept[2, n] = wp.where(sp < 0.0, label, pl)
-            n += 1
-        if sq < 0.0 and n < 16:
-            kept[0, n] = qx
-            kept[1, n] = qy
-            kept[2, n] = cell[2, m]
-            n += 1
-        px = qx
-        py = qy
-        pl = cell[2, m]
-        sp = sq
-    return kept, n
-
-
-@wp.func
-def square_cell(half: float) -> mat3x16:
-    """The square of side 2 half about the origin, its edges labelled -1."""
-    cell = mat3x16()
-    cell[0, 0] = -half
-    cell[1, 0] = -half
-    cell[0, 1] = half
-    cell[1, 1] = -half
-    cell[0, 2] = half
-    cell[1, 2] = half
-    cell[0, 3] = -half
-    cell[1, 3] = half
-    for m in range(4):
-        cell[2, m] = -1.0
-    return cell
-
-
-@wp.func
-def write_star(
-    i: int,
-    x: wp.array(dtype=wp.vec3),
-    cell: mat3x16,
-    count: int,
-    rows: Neighbors,
-    star: Neighbors,
-    weight: wp.array(dtype=float),
-):
-    """Write the neighbours that the edges of a cell are shared with, and w_ij = edge/distance."""
-    k = star.start[i]
-    for m in range(count):
-        q = m + 1
-        if q == count:
-            q = 0
-        if cell[2, m] >= 0.0:
-            j = rows.index[rows.start[i] + int(cell[2, m])]
-            edge = wp.length(wp.vec2(cell[0, q] - cell[0, m], cell[1, q] - cell[1, m]))
-            star.index[k] = j
-            weight[k] = edge / wp.length(x[j] - x[i])
-            k += 1
-    star.stop[i] = k
 
 
 @wp.kernel
@@ -127,47 +47,14 @@ def voronoi_cell_e(
         weight: [CORNERS n_e] edge over distance of those neighbours: w_ij of the Laplacian sum_j w_ij (f_j - f_i).
     """
     i = rows.first + wp.tid()
-    p = x[i]
     n = normal[i]
     e1, e2 = tangent_basis(n)
-    cell = square_cell(0.5 * r)
-    count = int(4)
-    reach = float(0.5) * r * r
-    near = 0.2 * r * r
-    # Near neighbours first: they leave a cell so small that few of the others reach it.
-    for far in range(2):
-        for k in range(rows.start[i], rows.stop[i]):
-            d = x[rows.index[k]] - p
-            dd = wp.length_sq(d)
-            if dd < 4.0 * reach and (dd < near) == (far == 0):
-                u = wp.dot(d, e1)
-                v = wp.dot(d, e2)
-                z = wp.dot(d, n)
-                plane = u * u + v * v
-                half = 0.5 * wp.sqrt(plane * (plane + 0.888 * z * z))
-                cell, count = clip_cell(cell, count, u, v, half, float(k - rows.start[i]))
-                reach = float(0.0)
-                for m in range(count):
-                    reach = wp.max(reach, cell[0, m] * cell[0, m] + cell[1, m] * cell[1, m])
-    flat = float(0.0)
-    first = wp.vec2()
-    uu = float(0.0)
-    uv = float(0.0)
-    vv = float(0.0)
-    for m in range(count):
-        q = m + 1
-        if q == count:
-            q = 0
-        ax = cell[0, m]
-        ay = cell[1, m]
-        bx = cell[0, q]
-        by = cell[1, q]
-        cross = ax * by - ay * bx
-        flat += cross / 2.0
-        first += cross / 6.0 * wp.vec2(ax + bx, ay + by)
-        uu += cross / 12.0 * (ax * ax + ax * bx + bx * bx)
-        uv += cross / 24.0 * (2.0 * ax * ay + ax * by + bx * ay + 2.0 * bx * by)
-        vv += cross / 12.0 * (ay * ay + ay * by + by * by)
+    m = cut_cell(i, x, e1, e2, n, rows, r, star, weight)
+    flat = m[0]
+    first = wp.vec2(m[1], m[2])
+    uu = m[3]
+    uv = m[4]
+    vv = m[5]
     second = 2.0 * surface[i].second
     s1 = second * e1
     s2 = second * e2
@@ -178,8 +65,6 @@ def voronoi_cell_e(
     area[i] = wp.sqrt(flat * (flat + stretch))
     flux[i] = flat * n - (q11 * first[0] + q12 * first[1]) * e1 - (q12 * first[0] + q22 * first[1]) * e2
     bulge[i] = -0.5 * (q11 * uu + 2.0 * q12 * uv + q22 * vv)
-    if weight:
-        write_star(i, x, cell, count, rows, star, weight)
 
 
 @wp.kernel

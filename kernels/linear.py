@@ -10,7 +10,7 @@ import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_total
-from melp_warp.kernels.rows import sum_differences
+from melp_warp.kernels.rows import sum_differences, sum_products
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,6 +37,21 @@ def inner(a: float, b: float) -> float:
 def inner(a: wp.vec3, b: wp.vec3) -> float:  # noqa: F811
     """Dot product."""
     return wp.dot(a, b)
+
+
+@wp.func
+def products(a: wp.array(dtype=float), b: wp.array(dtype=float), begin: int, end: int) -> float:
+    """sum_k a_k.b_k for k from `begin` to `end`."""
+    return sum_products(a, b, begin, end)
+
+
+@wp.func
+def products(a: wp.array(dtype=wp.vec3), b: wp.array(dtype=wp.vec3), begin: int, end: int) -> float:  # noqa: F811
+    """The same for vectors."""
+    total = float(0.0)
+    for k in range(begin, end):
+        total += wp.dot(a[k], b[k])
+    return total
 
 
 @wp.func
@@ -126,13 +141,10 @@ def apply_operator(
 
 @wp.kernel
 def dot_chunks(a: wp.array(dtype=Any), b: wp.array(dtype=Any), n: int, partial: wp.array(dtype=float)):
-    """Dot product of the first n entries in as many parts as there are threads, each summed in order."""
+    """Dot product of the first n entries in as many parts as there are threads."""
     c = wp.tid()
     size = (n + partial.shape[0] - 1) // partial.shape[0]
-    total = float(0.0)
-    for i in range(c * size, wp.min(n, (c + 1) * size)):
-        total += inner(a[i], b[i])
-    partial[c] = total
+    partial[c] = products(a, b, c * size, wp.min(n, (c + 1) * size))
 
 
 @wp.kernel
@@ -485,10 +497,7 @@ def region_dot_chunks(
     """Parts of each region's sum of a_i b_i."""
     c = wp.tid()
     start, stop = part_range(c, first, partial.shape[0])
-    total = float(0.0)
-    for i in range(start, stop):
-        total += a[i] * b[i]
-    partial[c] = total
+    partial[c] = sum_products(a, b, start, stop)
 
 
 @wp.kernel

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import fit_moments
+from melp_warp.kernels.rows import Quadric, fit_moments
 from melp_warp.kernels.sph import tangent_basis
 
 wp.set_module_options({"enable_backward": False})
@@ -109,15 +109,6 @@ def fitted_curvature(c: vec5, h: float) -> float:
     g = 1.0 + zx * zx + zy * zy
     top = (1.0 + zy * zy) * (2.0 * c[2]) - 2.0 * zx * zy * c[3] + (1.0 + zx * zx) * (2.0 * c[4])
     return wp.clamp(top / (g * wp.sqrt(g)), -STEEPEST, STEEPEST) / h
-
-
-@wp.struct
-class Quadric:
-    """The surface near a particle at o: points o + d with d.gradient = d.(second d), over the plane with `normal`."""
-
-    normal: wp.vec3
-    gradient: wp.vec3
-    second: wp.mat33
 
 
 @wp.func

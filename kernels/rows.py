@@ -10,13 +10,15 @@ from melp_warp.kernels.neighbors import Neighbors
 
 wp.set_module_options({"enable_backward": False})
 
-vec8 = wp.types.vector(length=8, dtype=wp.float32)
+vec6 = wp.types.vector(length=6, dtype=wp.float32)
 vec10 = wp.types.vector(length=10, dtype=wp.float32)
 vec17 = wp.types.vector(length=17, dtype=wp.float32)
 vec12 = wp.types.vector(length=12, dtype=wp.float32)
-vec16 = wp.types.vector(length=16, dtype=wp.float32)
 mat53 = wp.types.matrix(shape=(5, 3), dtype=wp.float32)
 mat58 = wp.types.matrix(shape=(5, 8), dtype=wp.float32)
+
+CORNERS = 16
+"""Most corners of a cell."""
 
 LOOP = """
 #if !defined(__CUDA_ARCH__)
@@ -26,6 +28,28 @@ LOOP = """
     for (int k = first; k < last; ++k)
 """
 """A loop over the neighbours of row i that may be summed in any order."""
+
+
+@wp.struct
+class Blocks:
+    """Points sorted into blocks: block h holds places start[h] to start[h + 1], all within reach[h] of its home.
+
+    The last block has no home and holds points of any region.
+    """
+
+    start: wp.array(dtype=wp.int32)
+    reach: wp.array(dtype=float)
+    region: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Quadric:
+    """The surface near a particle at o: points o + d with d.gradient = d.(second d), over the plane with `normal`."""
+
+    normal: wp.vec3
+    gradient: wp.vec3
+    second: wp.mat33
+
 
 LANES = """
 #if !defined(__CUDA_ARCH__)
@@ -39,19 +63,29 @@ ROW = """
     const int first = rows.start.data[i], last = rows.stop.data[i];
 """
 
-OFFSET = """
-        const int j = index[k];
+FAR = """
         const float dx = scale * (q[3 * j] - px), dy = scale * (q[3 * j + 1] - py), dz = scale * (q[3 * j + 2] - pz);
         const float s = sqrtf(dx * dx + dy * dy + dz * dz);
 """
-"""Offset of neighbour k and its length, in h = r/3."""
+"""Offset of point j and its length, in h = r/3."""
 
-WEIGHT = """
+OFFSET = f"""
+        const int j = index[k];{FAR}"""
+"""The same for neighbour k."""
+
+VALUE = """
         const float a = s < 3.0f ? 3.0f - s : 0.0f, b = s < 2.0f ? 2.0f - s : 0.0f, c = s < 1.0f ? 1.0f - s : 0.0f;
         const float value = a * a * a * a * a - 6.0f * b * b * b * b * b + 15.0f * c * c * c * c * c;
+"""
+"""The quintic spline of `sph.kernel_w` for support 3 at s, but for its constant."""
+
+WEIGHT = f"""{VALUE}
         const float w = j < limit ? 0.004661441847f * value : 0.0f;
 """
-"""The quintic spline of `sph.kernel_w` for support 3 at (dx, dy, dz), none beyond index `limit`."""
+"""The spline at (dx, dy, dz), none beyond index `limit`."""
+
+OVER = LOOP.replace("int k = first; k < last; ++k", "int m = 0; m < count; ++m")
+"""The same loop over `count` points."""
 
 
 @wp.func_native(f"""{ROW}
@@ -230,52 +264,82 @@ def weigh_row_laplacian(
 
 
 @wp.func_native(f"""{ROW}
-    const float* q = (const float*)source.data;
-    const float* packs = (const float*)pack.data;
-    const float px = p[0], py = p[1], pz = p[2], scale = 3.0f / r, unit = scale * scale;
-    const int limit = source.shape[0];
-    const int room = 64;
-    float sums[16] = {{}}, turned[4] = {{}}, ws[room], xs[room], ys[room], zs[room];
-    for (int begin = first; begin < last; begin += room)
+    const int limit = block.start.shape[0] - 2;
+    const int* start = block.start.data;
+    const float* homes = (const float*)home.data;
+    const float* packs = pack.data;
+    const float px = homes[3 * i], py = homes[3 * i + 1], pz = homes[3 * i + 2], scale = 3.0f / r;
+    float sums[6][8] = {{}};
+    for (int n = first - 1; n <= last; ++n)
     {{
-        const int count = last - begin < room ? last - begin : room;
-        {{{LOOP.replace("int k = first; k < last; ++k", "int m = 0; m < count; ++m")}
+        const int h = n < first ? i : n < last ? index[n] : limit;
+        if (h >= limit && n < last)
+            continue;
+        if (h < limit)
         {{
-            const int k = begin + m;
-            {OFFSET}{WEIGHT}
-            ws[m] = unit * w;
-            xs[m] = dx / -scale;
-            ys[m] = dy / -scale;
-            zs[m] = dz / -scale;
+            const float hx = homes[3 * h] - px, hy = homes[3 * h + 1] - py, hz = homes[3 * h + 2] - pz;
+            const float most = r + block.reach.data[h];
+            if (hx * hx + hy * hy + hz * hz > most * most)
+                continue;
         }}
-        }}
-        for (int m = 0; m < count; ++m)
+        const int begin = start[h], end = start[h + 1];
+        for (int from = begin & ~7; from < end; from += 8)
         {{
-            const float* row = packs + 16 * (size_t)index[begin + m];
-            float t[16];
-            for (int c = 0; c < 16; ++c)
-                t[c] = ws[m] * row[c];
-            for (int c = 0; c < 16; ++c)
-                sums[c] += t[c];
-            for (int c = 0; c < 4; ++c)
-                turned[c] += xs[m] * t[4 + c] + ys[m] * t[8 + c] + zs[m] * t[12 + c];
+            const float* g = packs + 18 * (size_t)from;
+            float w[8];
+            for (int lane = 0; lane < 8; ++lane)
+                w[lane] = from + lane >= begin && from + lane < end ? 1.0f : 0.0f;
+            if (h == limit)
+                for (int lane = 0; lane < 8; ++lane)
+                    w[lane] = w[lane] > 0.0f && block.region.data[from + lane] == region ? 1.0f : 0.0f;
+{LANES}
+            for (int lane = 0; lane < 8; ++lane)
+            {{
+                const float ox = px - g[lane], oy = py - g[8 + lane], oz = pz - g[16 + lane];
+                const float s = scale * sqrtf(ox * ox + oy * oy + oz * oz);
+{VALUE}                const float v = w[lane] * value;
+                for (int m = 0; m < 3; ++m)
+                {{
+                    const float* t = g + 24 + 8 * m + lane;
+                    sums[m][lane] += v * (t[0] + ox * t[48] + oy * t[72] + oz * t[96]);
+                    sums[3 + m][lane] += v * t[24];
+                }}
+            }}
         }}
     }}
-    wp::vec_t<8, float> total;
-    for (int c = 0; c < 3; ++c)
-        total[c] = sums[c] + turned[c];
-    for (int c = 0; c < 3; ++c)
-        total[3 + c] = sums[3 + 4 * c];
+    wp::vec_t<6, float> total;
+    for (int m = 0; m < 6; ++m)
+        for (int lane = 0; lane < 8; ++lane)
+            total[m] += 0.004661441847f * scale * scale * sums[m][lane];
     return total;
 """)
-def gather_row(
-    i: int, p: wp.vec3, source: wp.array(dtype=wp.vec3), pack: wp.array(dtype=vec16), rows: Neighbors, r: float
-) -> vec8:
-    """sum_j W(|d|, r) (m_j + S_j d, s_j) with d = p - source_j, three sums each.
+def gather_blocks(
+    i: int,
+    home: wp.array(dtype=wp.vec3),
+    region: int,
+    pack: wp.array(dtype=float),
+    block: Blocks,
+    rows: Neighbors,
+    r: float,
+) -> vec6:
+    """sum_j W(|d|, r) (m_j + S_j d, s_j) with d = home_i - x_j over blocks of points, three sums each.
 
-    A pack is (m, s_0, S_x, s_1, S_y, s_2, S_z, -) with S_x, S_y, S_z the columns of S.
+    The blocks are those of i, of the entries of its row, and of the last block the points in `region`. A pack holds
+    eight points, component by component: x, m, s and the columns of S, see `write_pack`.
     """
     ...
+
+
+@wp.func
+def write_pack(place: int, x: wp.vec3, m: wp.vec3, s: wp.vec3, slope: wp.mat33, pack: wp.array(dtype=float)):
+    """Write the eighteen numbers of the point at `place` for `gather_blocks`."""
+    at = 144 * (place / 8) + place % 8
+    for a in range(3):
+        pack[at + 8 * a] = x[a]
+        pack[at + 8 * (3 + a)] = m[a]
+        pack[at + 8 * (6 + a)] = s[a]
+        for b in range(3):
+            pack[at + 8 * (9 + 3 * b + a)] = slope[a, b]
 
 
 @wp.func_native(f"""{ROW}
@@ -318,5 +382,269 @@ def moment_row(
     """sum_k weight_k (1, d) x (d, a, 1, b) in rows 0 to 3, with d = position - p, and sum_k weight_k c in row 4.
 
     A pack is (position, a, 1, b, c, -), with vectors a and c.
+    """
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)x.data;
+    const float px = q[3 * i], py = q[3 * i + 1], pz = q[3 * i + 2];
+    const float ax = e1[0], ay = e1[1], az = e1[2], bx = e2[0], by = e2[1], bz = e2[2];
+    const float nx = n[0], ny = n[1], nz = n[2], near = 0.2f * r * r;
+    const int room = 64, most = {CORNERS};
+    float us[room], vs[room], halves[room], squares[room], side[most], cu[2][most], cv[2][most];
+    int label[2][most], at = 0, corners = 4;
+    for (int c = 0; c < 4; ++c)
+    {{
+        cu[0][c] = c == 1 || c == 2 ? 0.5f * r : -0.5f * r;
+        cv[0][c] = c < 2 ? -0.5f * r : 0.5f * r;
+        label[0][c] = -1;
+    }}
+    float reach = 0.5f * r * r;
+    // Near neighbours first: they leave a cell so small that few of the others reach it.
+    for (int far = 0; far < 2; ++far)
+        for (int from = first; from < last; from += room)
+        {{
+            const int count = last - from < room ? last - from : room;
+            {{{OVER}
+            {{
+                const int j = index[from + m];
+                const float dx = q[3 * j] - px, dy = q[3 * j + 1] - py, dz = q[3 * j + 2] - pz;
+                const float u = dx * ax + dy * ay + dz * az, v = dx * bx + dy * by + dz * bz;
+                const float z = dx * nx + dy * ny + dz * nz;
+                us[m] = u;
+                vs[m] = v;
+                const float plane = u * u + v * v;
+                halves[m] = 0.5f * sqrtf(plane * (plane + 0.888f * z * z));
+                squares[m] = dx * dx + dy * dy + dz * dz;
+            }}
+            }}
+            for (int m = 0; m < count; ++m)
+            {{
+                if (!(squares[m] < 4.0f * reach) || (squares[m] < near) != (far == 0))
+                    continue;
+                int out = 0;
+                for (int c = 0; c < corners; ++c)
+                {{
+                    side[c] = cu[at][c] * us[m] + cv[at][c] * vs[m] - halves[m];
+                    out += !(side[c] < 0.0f);
+                }}
+                if (out == 0)
+                    continue;
+                const int to = 1 - at;
+                int kept = 0, before = corners - 1;
+                reach = 0.0f;
+                for (int c = 0; c < corners; before = c++)
+                {{
+                    const bool inside = side[c] < 0.0f;
+                    if ((side[before] < 0.0f) != inside && kept < most)
+                    {{
+                        const float t = side[before] / (side[before] - side[c]);
+                        cu[to][kept] = cu[at][before] + t * (cu[at][c] - cu[at][before]);
+                        cv[to][kept] = cv[at][before] + t * (cv[at][c] - cv[at][before]);
+                        label[to][kept++] = inside ? label[at][before] : from + m;
+                    }}
+                    if (inside && kept < most)
+                    {{
+                        cu[to][kept] = cu[at][c];
+                        cv[to][kept] = cv[at][c];
+                        label[to][kept++] = label[at][c];
+                    }}
+                }}
+                at = to;
+                corners = kept;
+                for (int c = 0; c < corners; ++c)
+                {{
+                    const float square = cu[at][c] * cu[at][c] + cv[at][c] * cv[at][c];
+                    reach = square > reach ? square : reach;
+                }}
+            }}
+        }}
+    wp::vec_t<6, float> moments;
+    int k = weight.data ? star.start.data[i] : 0;
+    for (int c = 0; c < corners; ++c)
+    {{
+        const int next = c + 1 < corners ? c + 1 : 0;
+        const float u = cu[at][c], v = cv[at][c], s = cu[at][next], t = cv[at][next], cross = u * t - v * s;
+        moments[0] += cross / 2.0f;
+        moments[1] += cross / 6.0f * (u + s);
+        moments[2] += cross / 6.0f * (v + t);
+        moments[3] += cross / 12.0f * (u * u + u * s + s * s);
+        moments[4] += cross / 24.0f * (2.0f * u * v + u * t + s * v + 2.0f * s * t);
+        moments[5] += cross / 12.0f * (v * v + v * t + t * t);
+        if (weight.data && label[at][c] >= 0)
+        {{
+            const int j = index[label[at][c]];
+            const float dx = q[3 * j] - px, dy = q[3 * j + 1] - py, dz = q[3 * j + 2] - pz;
+            const float edge = sqrtf((s - u) * (s - u) + (t - v) * (t - v));
+            star.index.data[k] = j;
+            weight.data[k++] = edge / sqrtf(dx * dx + dy * dy + dz * dz);
+        }}
+    }}
+    if (weight.data)
+        star.stop.data[i] = k;
+    return moments;
+""")
+def cut_cell(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    e1: wp.vec3,
+    e2: wp.vec3,
+    n: wp.vec3,
+    rows: Neighbors,
+    r: float,
+    star: Neighbors,
+    weight: wp.array(dtype=float),
+) -> vec6:
+    """Moments 1, u, v, uu, uv, vv of the Voronoi cell of x_i in the plane of e1, e2, of at most `CORNERS` corners.
+
+    The cell is what the lines q.(u, v) = p sqrt(p^2 + 0.888 z^2)/2, p^2 = u^2 + v^2, of the neighbours leave of a
+    square of side r about x_i. Where there is a `weight`, `star` holds the neighbours whose lines are edges, in order,
+    and it edge/distance.
+    """
+    ...
+
+
+@wp.func_native(f"""
+    const int* index = wide.index.data;
+    const int first = wide.start.data[home], last = wide.stop.data[home], room = 64;
+    const float* q = (const float*)x.data;
+    const float px = p[0], py = p[1], pz = p[2], most = radius * radius;
+    int* row = out.data + begin;
+    union {{ float value[room]; unsigned bits[room]; }} square;
+    int kept[room], n = 0, nearest = home;
+    const float hx = q[3 * home] - px, hy = q[3 * home + 1] - py, hz = q[3 * home + 2] - pz;
+    float least = hx * hx + hy * hy + hz * hz;
+    if (least <= most)
+    {{
+        if (stride > 0)
+            row[0] = home;
+        n = 1;
+    }}
+    for (int from = first; from < last; from += room)
+    {{
+        const int* candidate = index + from;
+        const int count = last - from < room ? last - from : room;
+        unsigned best = ~0u;
+        {{{OVER}
+        {{
+            const int j = candidate[m];
+            const float dx = q[3 * j] - px, dy = q[3 * j + 1] - py, dz = q[3 * j + 2] - pz;
+            square.value[m] = dx * dx + dy * dy + dz * dz;
+        }}
+        }}
+        for (int m = 0; m < count; ++m)
+        {{
+            const unsigned key = candidate[m] < limit ? (square.bits[m] & ~63u) | (unsigned)m : ~0u;
+            best = key < best ? key : best;
+        }}
+        if (best != ~0u && square.value[best & 63u] < least)
+        {{
+            least = square.value[best & 63u];
+            nearest = candidate[best & 63u];
+        }}
+        int* to = n + count <= stride ? row + n : kept;
+        int found = 0;
+        for (int m = 0; m < count; ++m)
+        {{
+            to[found] = candidate[m];
+            found += square.value[m] <= most;
+        }}
+        if (to == kept)
+            for (int m = 0; m < found && n + m < stride; ++m)
+                row[n + m] = kept[m];
+        n += found;
+    }}
+    return wp::vec_t<2, int>(n, nearest);
+""")
+def list_around_home(
+    home: int,
+    p: wp.vec3,
+    x: wp.array(dtype=wp.vec3),
+    wide: Neighbors,
+    radius: float,
+    limit: int,
+    begin: int,
+    stride: int,
+    out: wp.array(dtype=wp.int32),
+) -> wp.vec2i:
+    """Write `home` and those of its wide row within `radius` of p to `out` from `begin` on, at most `stride`.
+
+    Returns how many there are, and which of them, below index `limit`, is nearest to p, to 1e-5 of the squared
+    distance: six bits of that hold the place of the candidate.
+    """
+    ...
+
+
+@wp.func_native(
+    """
+    const float* x = a.data;
+    const float* y = b.data;
+    float total = 0.0f;
+    {"""
+    + LOOP.replace("int k = first", "int k = begin").replace("k < last", "k < end")
+    + """
+        total += x[k] * y[k];
+    }
+    return total;
+"""
+)
+def sum_products(a: wp.array(dtype=float), b: wp.array(dtype=float), begin: int, end: int) -> float:
+    """sum_k a_k b_k for k from `begin` to `end`."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)x.data;
+    const float* fits = (const float*)surface.data;
+    const float px = p[0], py = p[1], pz = p[2], scale = 3.0f / r;
+    const int room = 64;
+    float ws[room], shift[3] = {{}}, total = 0.0f;
+    int kept[room];
+    for (int from = first; from < last; from += room)
+    {{
+        const int count = last - from < room ? last - from : room;
+        {{{OVER}
+        {{
+            const int j = index[from + m];{FAR}{WEIGHT}
+            ws[m] = w;
+        }}
+        }}
+        int found = 0;
+        for (int m = 0; m < count; ++m)
+        {{
+            kept[found] = m;
+            found += ws[m] > 0.0f;
+        }}
+        for (int f = 0; f < found; ++f)
+        {{
+            const int j = index[from + kept[f]];
+            const float w = ws[kept[f]];
+            const float dx = px - q[3 * j], dy = py - q[3 * j + 1], dz = pz - q[3 * j + 2];
+            const float* fit = fits + 15 * (size_t)j;  // normal, gradient, rows of second
+            const float gx = fit[3] - (fit[6] * dx + fit[7] * dy + fit[8] * dz);
+            const float gy = fit[4] - (fit[9] * dx + fit[10] * dy + fit[11] * dz);
+            const float gz = fit[5] - (fit[12] * dx + fit[13] * dy + fit[14] * dz);
+            const float height = w * (dx * gx + dy * gy + dz * gz);
+            total += w;
+            for (int c = 0; c < 3; ++c)
+                shift[c] += height * fit[c];
+        }}
+    }}
+    const float inverse = total > 0.0f ? 1.0f / total : 0.0f;
+    return wp::vec_t<3, float>(inverse * shift[0], inverse * shift[1], inverse * shift[2]);
+""")
+def height_over_fits(
+    i: int,
+    p: wp.vec3,
+    x: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=Quadric),
+    rows: Neighbors,
+    r: float,
+    limit: int,
+) -> wp.vec3:
+    """Mean of (d.(gradient - second d)) normal over the fits of row i below index `limit`, d = p - x_j, weighed with W.
+
+    0 where none is within r.
     """
     ...

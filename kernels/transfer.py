@@ -3,7 +3,7 @@
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import gather_row, moment_row, vec12, vec16, weigh_row
+from melp_warp.kernels.rows import Blocks, gather_blocks, moment_row, vec12, weigh_row, write_pack
 from melp_warp.kernels.sph import kernel_w, tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -23,9 +23,10 @@ def normalize_l(
     n_e: int,
     density: float,
     affinity: float,
+    place: wp.array(dtype=wp.int32),
     # outputs
     weight: wp.array(dtype=float),
-    given: wp.array(dtype=vec16),
+    given: wp.array(dtype=float),
     lost: wp.array(dtype=int),
 ):
     """What each L gives per weight W(E, L): its quantities over alpha_L = sum_E W of (6), E alone.
@@ -46,9 +47,10 @@ def normalize_l(
         n_e: number of E; boundary particles beyond take no part, so that the transfer conserves.
         density: rho, kg/m^3.
         affinity: share of the affine part that is given: 1 APIC, 0 PIC.
+        place: [n_l] place of each L among those sorted by their homes.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
-        given: [n_l] over alpha: momentum m (u - C o) with o the weighted mean of the E as seen from the L, its slope
-            m C, and mass, surfactant, area m/(rho eta), packed for `rows.gather_row`.
+        given: for the L at each place, packed by `rows.write_pack`, its position and over alpha: momentum m (u - C o)
+            with o the weighted mean of the E as seen from the L, its slope m C, and mass, surfactant, area m/(rho eta).
         lost: [n_l] 1 for an L that no E is near to.
     """
     i = rows.first + wp.tid()
@@ -61,23 +63,19 @@ def normalize_l(
         inverse = 1.0 / total
     m = mass_l[i] * inverse
     c = affinity * affine_l[i]
-    v = m * (u_l[i] - c * (inverse * mean))
-    given[i] = vec16(
-        v[0], v[1], v[2], m,
-        m * c[0, 0], m * c[1, 0], m * c[2, 0], surfactant_l[i] * inverse,
-        m * c[0, 1], m * c[1, 1], m * c[2, 1], m / (density * eta_l[i]),
-        m * c[0, 2], m * c[1, 2], m * c[2, 2], 0.0,
-    )  # fmt: skip
+    amounts = wp.vec3(m, surfactant_l[i] * inverse, m / (density * eta_l[i]))
+    write_pack(place[i], p, m * (u_l[i] - c * (inverse * mean)), amounts, m * c, given)
     lost[i] = wp.where(total > 0.0, 0, 1)
 
 
 @wp.kernel
 def gather_l_to_e(
     x_e: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     rows: Neighbors,
+    block: Blocks,
     r: float,
-    x_l: wp.array(dtype=wp.vec3),
-    given: wp.array(dtype=vec16),
+    given: wp.array(dtype=float),
     # outputs
     mass_e: wp.array(dtype=float),
     surfactant_e: wp.array(dtype=float),
@@ -88,17 +86,18 @@ def gather_l_to_e(
 
     Args:
         x_e: [n] m.
-        rows: E:L neighbours.
+        region: [n] region of each E.
+        rows: wide E:E neighbours.
+        block: blocks of the L by their homes.
         r: support radius, m.
-        x_l: [n_l] m.
-        given: [n_l] from `normalize_l`.
+        given: from `normalize_l`.
         mass_e: [n_e] kg.
         surfactant_e: [n_e] mol.
         claim_e: [n_e] area that the L take up at their thickness, m^2.
         momentum_e: [n_e] kg m/s.
     """
     i = rows.first + wp.tid()
-    total = gather_row(i, x_e[i], x_l, given, rows, r)
+    total = gather_blocks(i, x_e, region[i], given, block, rows, r)
     momentum_e[i] = wp.vec3(total[0], total[1], total[2])
     mass_e[i] = total[3]
     surfactant_e[i] = total[4]

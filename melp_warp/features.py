@@ -66,6 +66,7 @@ class Features:
             "redistribute": self.moving,
             "membrane": self.moving and not self.foam,
             "motion": self.moving,
+            "homes": self.lagrangian,
             "boundary": self.rim,
             "foam": self.foam,
             "contact": self.foam,

@@ -22,7 +22,7 @@ from melp_warp.kernels import foam as kf
 from melp_warp.kernels import lines as kl
 from melp_warp.kernels import motion as ko
 from melp_warp.kernels import regions as kr
-from melp_warp.kernels.cells import CORNERS
+from melp_warp.kernels.rows import CORNERS
 from melp_warp.launch import Shared
 from melp_warp.linear import GasConjugateGradient, LinearOperator
 from melp_warp.membrane import close_volume
@@ -74,28 +74,26 @@ class Exchange:
     They cross before the first step that ends `EXCHANGE_INTERVAL` or more after the last exchange.
 
     Attributes:
-        due: [1] whether L cross before the step to come.
+        due: whether L cross before the step to come.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, fields: Fields):
         self.film, self.state, self.lists, self.fields = film, state, lists, fields
         self._number = wp.array(np.arange(film.n_l, dtype=np.int32), device=film.device)
         self._last = state.time
-        self.due, self._seed = (Setting(film.device, wp.int32) for _ in range(2))
-        self._chance = Setting(film.device)
+        self.due, self._seed, self._chance = False, Setting(film.device, wp.int32), Setting(film.device)
 
     def prepare(self, dt: float) -> None:
         """Set whether and how many L cross before a step of dt (s)."""
         film, end = self.film, self.state.time + dt
-        due = end - self._last > EXCHANGE_INTERVAL
-        self.due.at(int(due))
-        self._chance.at(-math.expm1(-film.numerics.exchange * (end - self._last)) if due else 0.0)
-        if due:
+        self.due = end - self._last > EXCHANGE_INTERVAL
+        if self.due:
+            self._chance.at(-math.expm1(-film.numerics.exchange * (end - self._last)))
             self._last = end
             self._seed.at(film.seed + round(240.0 * end))
 
     def apply(self, dt: wp.array) -> None:
-        """Let L cross and their lists be rebuilt."""
+        """Let L cross; lists between E and L are to be rebuilt afterwards."""
         film, e, lag = self.film, self.state.e, self.state.l
         film.launch_l(
             kx.exchange_l,
@@ -107,7 +105,6 @@ class Exchange:
             ],
             [lag.region, lag.eta],
         )
-        self.lists.expire_l()
 
 
 class FoamMembrane:

@@ -67,7 +67,6 @@ def foam_scene(
         l_per_e=l_per_e,
         surroundings=Surroundings(air=FOAM["air"], damping=DAMPING),
         numerics=Numerics(
-            support=FOAM["support"],
             cfl=FOAM["cfl"],
             redistribution=FOAM["redistribution"],
             border=FOAM["border"],

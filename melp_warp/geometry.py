@@ -11,6 +11,7 @@ from melp_warp.kernels import gas as kv
 from melp_warp.kernels import geometry as kg
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.rows import CORNERS
 from melp_warp.neighbors import NeighborLists, fixed_rows
 from melp_warp.state import State
 
@@ -55,8 +56,8 @@ class Geometry:
         self.star, self._found, self.tie, self.vector, self.share, self._before = Neighbors(), *5 * (None,)
         if film.features.foam:
             self._before = film.zeros(state.e.normal.shape[0], wp.vec3)
-            self.star = fixed_rows(film.n_e, kc.CORNERS, film.device)
-            self._found, self.tie = (film.zeros(film.n_e * kc.CORNERS) for _ in range(2))
+            self.star = fixed_rows(film.n_e, CORNERS, film.device)
+            self._found, self.tie = (film.zeros(film.n_e * CORNERS) for _ in range(2))
             self.vector, self.share = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
 
     def update(self) -> None:

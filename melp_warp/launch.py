@@ -163,22 +163,6 @@ def repeat(go: wp.array, body: Callable[[], None], most: int) -> None:
             body()
 
 
-def when(flag: wp.array, body: Callable[[], None]) -> None:
-    """Launch a sequence where `flag[0]` is not 0, without the host looking where it is captured.
-
-    On CUDA nothing in the sequence may allocate or copy from the host: kernels, `zero_` and copies on the device alone.
-
-    Args:
-        flag: [1] int32.
-        body: launches the sequence; it must do no harm where it is not asked for, as then it is run always on a GPU
-            whose driver has no conditional parts of graphs.
-    """
-    if _decides(flag.device):
-        wp.capture_if(flag, on_true=body)
-    else:
-        body()
-
-
 def _decides(device) -> bool:
     """Whether parts of a graph can depend on what is on the device."""
     return not device.is_cuda or wp.is_conditional_graph_supported()

@@ -1,8 +1,6 @@
-"""Neighbour lists from a grid of cells, with a skin so that they live for several steps."""
+"""Neighbour lists from wp.HashGrid, with a skin so that they live for several steps."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import warp as wp
@@ -10,9 +8,20 @@ import warp as wp
 from melp_warp.errors import CrowdedError, LeapError
 from melp_warp.film import Film
 from melp_warp.kernels import diagnostics as kd
+from melp_warp.kernels import homes as kh
 from melp_warp.kernels import neighbors as kn
-from melp_warp.launch import launch, when
+from melp_warp.kernels.rows import Blocks
+from melp_warp.launch import launch
+from melp_warp.settings import Reading
 from melp_warp.state import State
+
+GRID_CELLS = 64
+
+HOME_MARGIN = 0.8
+"""Distance from its home within which an L is found without a grid, spacings; 0.71 is the farthest in a square grid."""
+
+GROWTH = 1.5
+"""Most that the distance moved in a step, or the speed, is expected to grow from one step to the next."""
 
 STRAYS = 0.01
 """Share of the L that may lose the film at once; one always may."""
@@ -50,59 +59,6 @@ def check_room(wanted: wp.array, stride: int, name: str) -> None:
         )
 
 
-class TransposedList:
-    """The transpose of a list, entries from `n` on left out: for each of `n` columns the rows it occurs in."""
-
-    def __init__(self, n: int, other: kn.Neighbors):
-        self.n, self.other, self.device = n, other, other.index.device
-        self.count, self.taken = (wp.zeros(m, dtype=wp.int32, device=self.device) for m in (n, 1))
-        self.rows = _rows(n, other.index.shape[0], self.device)
-
-    def build(self) -> None:
-        """Transpose the other list as it is now."""
-        self.count.zero_()
-        self.taken.zero_()
-        self._launch(kn.count_columns, [self.other, self.n, self.count])
-        launch(kn.open_columns, self.n, [self.count, self.taken, self.rows], device=self.device)
-        self._launch(kn.transpose_rows, [self.other, self.n, self.rows])
-
-    def _launch(self, kernel, arguments) -> None:
-        launch(kernel, self.other.start.shape[0], arguments, device=self.device)
-
-
-class CellGrid:
-    """Points by the cell that they lie in: rows of the points in each cell, in a grid that wraps around.
-
-    Kernels alone make it, so that a conditional part of a graph can: `wp.HashGrid` copies its descriptor from host
-    memory, which CUDA forbids there, and from one place for all grids, so that building one would spoil the graphs
-    of others.
-
-    Args:
-        n: number of points. There are cells enough for a film of them that is laid out flat, as far as they are few to
-            go through.
-        width: of a cell, m.
-        device: where the points are.
-
-    Attributes:
-        cells: what kernels take.
-    """
-
-    def __init__(self, n: int, width: float, device):
-        side = min(max(2 ** math.ceil(math.log2(max(math.sqrt(n) / 5.0, 1.0))), 16), 64)
-        points = fixed_rows(n, 1, device)
-        points.stop.assign(np.arange(1, n + 1, dtype=np.int32))
-        self._cell = points.index
-        self._list = TransposedList(side**3, points)
-        self.cells = kn.Cells()
-        self.cells.points, self.cells.width, self.cells.side = self._list.rows, width, side
-
-    def build(self, x: wp.array) -> None:
-        """Sort the points x [n] (m) into their cells."""
-        launch(kn.find_cell, x.shape[0], [x, self.cells], [self._cell], x.device)
-        self._list.build()
-        launch(kn.sort_rows, self._list.n, [self._list.rows], device=x.device)
-
-
 class NeighborList:
     """For each of `n` points the source points within a radius, in rows of a fixed room.
 
@@ -110,12 +66,11 @@ class NeighborList:
 
     Attributes:
         rows: the list; `rows.index.shape[0]` is the size of arrays aligned with its pairs.
-        wanted: [n] entries that each row asked for when the list was last built.
     """
 
     def __init__(
         self,
-        grid: CellGrid,
+        grid: wp.HashGrid,
         x: wp.array,
         n: int,
         source: wp.array,
@@ -137,13 +92,13 @@ class NeighborList:
         self._most.zero_()
         self.build(grid, x, source)
 
-    def build(self, grid: CellGrid, x: wp.array, source: wp.array) -> None:
+    def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list; what does not fit is left out and shows in `check`."""
         of_x, of_source = self.regions
         launch(
             kn.fill_neighbors,
             self.n,
-            [grid.cells, x, source, self.radius, of_x, of_source, self.pick, self.stride],
+            [grid.id, x, source, self.radius, of_x, of_source, self.pick, self.stride],
             [self.rows, self.wanted, self._most],
             self.device,
         )
@@ -158,15 +113,84 @@ class NeighborList:
         check_room(self._most, self.stride, name)
 
 
+class HomeList(NeighborList):
+    """L:E, picked from a wide E:E row around the home of each L, the E nearest to it; E first in each row.
+
+    Attributes:
+        home: [n_l] nearest E when the list was last built.
+        margin: distance from its home within which an L's neighbours are in the wide row, m.
+    """
+
+    def __init__(self, grid: wp.HashGrid, film: Film, state: State, wide: NeighborList, reach: float, margin: float):
+        self.home, self.margin, self._wide, self._n_e = film.zeros(film.n_l, wp.int32), margin, wide, film.n_e
+        regions = (state.l.region, state.e.region) if film.features.foam else None
+        super().__init__(grid, state.l.x, film.n_l, state.e.x, reach, kn.ALL, regions, times=film.room)
+
+    def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
+        """Fill the list and find the homes anew."""
+        of_x, of_source = self.regions
+        launch(
+            kh.fill_neighbors_l,
+            self.n,
+            [
+                *(grid.id, x, source, self.radius, of_x, of_source),
+                *(self._wide.rows, self._n_e, self.margin, self.stride),
+            ],
+            [self.home, self.rows, self.wanted, self._most],
+            self.device,
+        )
+
+
+class BlockList:
+    """E:L as the L sorted by their homes: those near an E are in the blocks of the E in its wide row.
+
+    L that are farther than a margin from any E are in a last block, at which every E looks.
+
+    Attributes:
+        blocks: where the block of each E starts.
+        place: [n_l] place of each L.
+    """
+
+    def __init__(self, film: Film, state: State, le: HomeList):
+        self.film, self.state, self._le = film, state, le
+        self._key, self._order = (film.zeros(2 * film.n_l, wp.int32) for _ in range(2))  # as the sort wants it
+        self.place = film.zeros(film.n_l, wp.int32)
+        self.blocks = Blocks()
+        self.blocks.start, self.blocks.reach = film.zeros(film.n_e + 2, wp.int32), film.zeros(film.n_e)
+        self.blocks.region = film.zeros(film.n_l + 7, wp.int32)  # read by eights
+        self.build()
+
+    def build(self) -> None:
+        """Sort the L by their present homes."""
+        film, le = self.film, self._le
+        x_e, lag = self.state.e.x, self.state.l
+        launch(kh.key_l, film.n_l, [lag.x, x_e, le.home, le.margin, film.n_e], [self._key, self._order], film.device)
+        wp.utils.radix_sort_pairs(self._key, self._order, film.n_l)
+        outputs = [self.blocks.start, self.place, self.blocks.region]
+        launch(kh.start_blocks_l, film.n_l, [self._key, self._order, lag.region, film.n_l], outputs, film.device)
+        skin = film.numerics.skin * film.spacing
+        found = [x_e, lag.x, self._order, self.blocks.start, skin]
+        film.launch_e(kh.measure_blocks_e, found, [self.blocks.reach])
+
+
 class NeighborLists:
     """The lists of a film: E:E (boundary included), L:E, E:L, mirror points:E, and in foams E to E of other regions.
+
+    `wide` is an E:E list from which those between E and L are made.
 
     Lists reach `skin` beyond the support and are rebuilt when particles have moved so far that a pair could be
     missing. Row entries of `ee` are what the geometry's pair arrays are aligned with.
 
+    `wp.HashGrid` allocates and copies from the host, which no graph can hold: lists are built between graphs, and it is
+    the host that decides. On a GPU it does so by what it knows without waiting, how far particles had moved a step
+    before the last one, with room for as fast a rise of the speed as lists between E and L always had; whether that was
+    enough is noted on the device, and a frame in which it was not is done again under watch.
+
     Attributes:
         travel: [6] largest distances moved, m: E since `ee` was built; E and L together since the other lists were;
             E in the last step; L in the last step; E and L in any step since `forget_leaps`.
+        watched: whether the host looks at the device before it decides, which a GPU must be waited for.
+        seen: `travel` after a step, with (its dt in s, seconds since the start, builds of E, builds of L).
     """
 
     def __init__(self, film: Film, state: State):
@@ -175,66 +199,81 @@ class NeighborLists:
         self.reach = film.r + self.skin
         self.mirror_reach = 2.0 * film.spacing
         x = state.e.x
-        self._grid = CellGrid(film.total, self.reach, film.device)
-        self._grid.build(x)
+        self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device)
+        self._grid.build(x, self.reach)
         of_e = state.e.region
         several = film.features.foam
         of_both, room = ((of_e, of_e), CROWD_ROOM) if several else (None, 8)
         times = film.room
         self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, kn.SAME, of_both, room, times)
-        self.le = self.el = self.be = self.eo = None
+        self.wide = self.le = self.el = self.be = self.eo = None
         if several:
             reach = film.contact_reach + self.skin
             self.eo = NeighborList(self._grid, x, film.n_e, x, reach, kn.OTHER, of_both, FACING_ROOM, times)
         if state.l is not None:
-            regions = (state.l.region, of_e) if several else None
-            self.le = NeighborList(self._grid, state.l.x, film.n_l, x, self.reach, kn.ALL, regions, times=times)
+            margin = HOME_MARGIN * film.spacing
+            wide = self.reach + self.skin + margin  # two E may have come closer by a skin since it was made
+            self.wide = NeighborList(self._grid, x, film.n_e, x, wide, kn.SAME, of_both, room, times)
+            self._part_wide()
+            self.le = HomeList(self._grid, film, state, self.wide, self.reach, margin)
             self._return_strays()
-            self.el = TransposedList(film.n_e, self.le.rows)
-            self.el.build()
+            self.el = BlockList(film, state, self.le)
         if film.features.rim:
             reach = self.mirror_reach + self.skin
             self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, reach, kn.ALL, times=times)
         self.travel = film.zeros(6)
-        self._stale_e, self._stale_l = (film.zeros(1, wp.int32) for _ in range(2))
-        self._builds = wp.full(2, 1, dtype=wp.int32, device=film.device)
         self._part = film.parts()
+        self._late = film.zeros(1, wp.int32)
+        self._builds = [1, 1]
+        self.watched = not film.device.is_cuda
+        self.seen = Reading(self.travel)
+        self._clock = 0.0
 
     @property
     def builds(self) -> list[int]:
-        """Times that the E and the L lists were built (reads back)."""
-        return self._builds.numpy().tolist()
+        """Times that the E and the L lists were built."""
+        return list(self._builds)
 
     def rebuild_e(self) -> None:
         """Fill the lists of E for the present positions; to be followed by `Geometry.update`."""
         x = self.state.e.x
-        self._grid.build(x)
+        self._grid.build(x, self.reach)
         self.ee.build(self._grid, x, x)
         if self.eo is not None:
             self.eo.build(self._grid, x, x)
         if self.be is not None:
             self.be.build(self._grid, self.film.rim.mirror, x)
-        self.film.launch_one(kn.count_build, [0], [self.travel, self._builds])
+        if self.wide is not None:
+            self.wide.build(self._grid, x, x)
+            self._part_wide()
+        self.film.launch_one(kn.reset_travel, [0], [self.travel])
+        self._builds[0] += 1
 
     def rebuild_l(self) -> None:
         """Fill the lists between E and L for the present positions."""
         x = self.state.e.x
-        self._grid.build(x)
+        self._grid.build(x, self.reach)
         self.le.build(self._grid, self.state.l.x, x)
         self._return_strays()
         self.el.build()
-        self.film.launch_one(kn.count_build, [1], [self.travel, self._builds])
+        self.film.launch_one(kn.reset_travel, [1], [self.travel])
+        self._builds[1] += 1
+
+    def _part_wide(self) -> None:
+        """Put boundary particles last in the wide rows."""
+        if self.film.features.rim:
+            self.film.launch_e(kh.part_rows_e, [self.film.n_e], [self.wide.rows])
 
     def _return_strays(self) -> None:
         """Put L that have lost the film back onto it, with the neighbours of the E where they land."""
         e, lag, film = self.state.e, self.state.l, self.film
         film.launch_l(
-            kn.return_strays_l,
+            kh.return_strays_l,
             [
                 *(e.x, e.region, self.ee.rows),
                 *(lag.region, film.n_e, film.r, self.le.stride),
             ],
-            [lag.x, self.le.rows, self.le.wanted],
+            [self.le.home, lag.x, self.le.rows, self.le.wanted],
         )
 
     @property
@@ -250,22 +289,43 @@ class NeighborLists:
 
     def update_e(self) -> None:
         """Rebuild the E:E list if pairs could be missing; to be followed by `Geometry.update`."""
-        self.film.launch_one(kn.find_stale_e, [self.skin, self.travel], [self._stale_e])
-        when(self._stale_e, self.rebuild_e)
+        if 2.0 * self._way(0) > self.skin:
+            self.rebuild_e()
 
-    def update_l(self) -> None:
-        """Rebuild the lists between E and L if pairs could be missing before the coming step ends."""
-        if self.le is not None:
-            self.film.launch_one(kn.find_stale_l, [self.skin, self.travel], [self._stale_l])
-            when(self._stale_l, self.rebuild_l)
+    def update_l(self, anew: bool = False) -> None:
+        """Rebuild the lists between E and L if pairs could be missing before the coming step ends, or `anew` anyway."""
+        if self.le is not None and (anew or self._way(1) > self.skin):
+            self.rebuild_l()
 
-    def expire_l(self) -> None:
-        """Let the next `update_l` rebuild the lists between E and L whatever moved."""
-        self.film.launch_one(kn.expire_travel, [], [self.travel])
+    def _way(self, which: int) -> float:
+        """How far particles are from where list `which` was built at its next use, as far as the host can say, m."""
+        if self.watched:
+            travel = self.travel.numpy()
+            return float(travel[which] + GROWTH * which * (travel[2] + travel[3]))
+        seen = self.seen.get()
+        if seen is None:
+            return np.inf
+        travel, (dt, clock, *builds) = seen
+        speed = (travel[2] + which * travel[3]) / dt
+        since = GROWTH**2 * speed * (self._clock - clock)
+        return float(since + travel[which] * (builds[which] == self._builds[which]))
+
+    def expect(self, dt: float) -> None:
+        """Note that a step of dt (s) is to come."""
+        self._clock += dt
+
+    def look(self, dt: float) -> None:
+        """Let the host see how far particles moved, after a step of dt (s)."""
+        self.seen.take((dt, self._clock, *self._builds))
 
     def forget_leaps(self) -> None:
-        """Forget how far E and L moved in the steps so far."""
+        """Forget how far E and L moved in the steps so far, and what lists were late."""
         self.film.launch_one(kn.forget_leaps, [], [self.travel])
+        self._late.zero_()
+
+    def note_late(self, which: int) -> None:
+        """Note on the device if list `which` is used although pairs could be missing."""
+        self.film.launch_one(kn.find_late, [self.skin, which, self.travel], [self._late])
 
     def record_e(self, x_old: wp.array, frame: wp.array, dt: wp.array) -> None:
         """Add how far E moved in this step, relative to the film as a whole."""
@@ -286,12 +346,15 @@ class NeighborLists:
 
         Raises:
             CrowdedError: a list overflowed.
-            LeapError: more L than `STRAYS` had no E within the support.
+            LeapError: nobody watched, and a list was used when pairs could be missing; or more L than `STRAYS` had no E
+                within the support.
         """
         for name in ("ee", "eo", "le", "be"):
             one = getattr(self, name)
             if one is not None:
                 one.check(name.upper())
+        if not self.watched and self._late.numpy()[0]:
+            raise LeapError("stage neighbors: particles moved further than neighbour lists reach")
         strays = self.strays
         if len(strays) > max(1.0, STRAYS * self.film.n_l):
             raise LeapError(

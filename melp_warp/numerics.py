@@ -18,7 +18,7 @@ class Numerics:
     """How the equations are discretised and solved.
 
     Attributes:
-        support: kernel support radius r in E spacings (the paper's 4).
+        support: kernel support radius r in E spacings (the paper has 4: see docs/accuracy.md).
         scheme: normal dynamics: "backward_euler" (damps), "trapezoid" (second order, keeps oscillations; taken as the
             implicit midpoint rule, with which it coincides for linear forces) or "explicit" (the paper's symplectic
             Euler step).
@@ -41,7 +41,7 @@ class Numerics:
         thickness_time: time in which eta_L relaxes to agree with eta_E, s.
     """
 
-    support: float = 4.0
+    support: float = 3.0
     scheme: str = "backward_euler"
     curvature: str = "mls"
     solver: str = "cg"
@@ -51,7 +51,7 @@ class Numerics:
     l_order: int = 1
     affinity: float = 1.0
     flip: float = 0.0
-    skin: float = 0.5
+    skin: float = 0.25
     redistribution: float = 1.0
     spread: float = 0.02
     xsph: float = 0.99

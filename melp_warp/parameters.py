@@ -198,7 +198,6 @@ FOAM: Mapping[str, Value] = MappingProxyType(
         "damping": 5.0,
         "exchange": 0.0,
         "border": 1.0,
-        "support": 3.0,
         "air": "added_mass",
         "cfl": 0.5,
         "redistribution": 1.0,

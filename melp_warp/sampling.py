@@ -89,6 +89,7 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int
     n_e = len(samples.points)
     spacing = float(np.sqrt(samples.area.sum() / n_e))
     _check_resolution(scene, spacing)
+    samples = _in_order(samples, spacing)
     rim = scene.shape.rim(spacing, (scene.numerics.support + scene.numerics.skin) * spacing)
     origin = _origin(samples.points)
     points, normals = samples.points - origin, samples.normals
@@ -123,6 +124,16 @@ def spatial_order(points: np.ndarray, cell: float) -> np.ndarray:
         for axis in range(3):
             code |= ((q[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return np.argsort(code, kind="stable")
+
+
+def _in_order(samples: Samples, spacing: float) -> Samples:
+    """The samples in spatial order, region by region."""
+    order = spatial_order(samples.points, spacing)
+    region = samples.region
+    if region is not None:
+        order = order[np.argsort(region[order], kind="stable")]
+        region = region[order]
+    return Samples(samples.points[order], samples.normals[order], samples.area[order], region)
 
 
 def _l_state(scene: Scene, n_e: int, spacing: float, origin: np.ndarray, device) -> LagrangianState | None:

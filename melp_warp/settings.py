@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -46,7 +47,7 @@ class Reading:
         self._array = array
         self._taken = deque(maxlen=2 if array.device.is_cuda else 1)
 
-    def take(self, note: float) -> None:
+    def take(self, note: Any) -> None:
         """Copy the array once the steps launched so far are done; `note` is kept with it."""
         host, done = self._room()
         wp.copy(host, self._array)
@@ -61,7 +62,7 @@ class Reading:
         host = wp.empty(self._array.shape, dtype=self._array.dtype, device="cpu", pinned=gpu)
         return host, wp.Event(self._array.device) if gpu else None
 
-    def get(self) -> tuple[np.ndarray, float] | None:
+    def get(self) -> tuple[np.ndarray, Any] | None:
         """The array and its note; None where none was taken."""
         if not self._taken:
             return None

@@ -19,7 +19,6 @@ from melp_warp.kernels import diagnostics as kd
 from melp_warp.launch import launch
 from melp_warp.sampling import FAR, make_film, resume
 from melp_warp.scene import MOST_STEPS, Scene
-from melp_warp.settings import Reading
 from melp_warp.state import GAS_SLOTS, Snapshot
 from melp_warp.stepper import STAGES, Stepper
 from melp_warp.surgery import Stored
@@ -112,7 +111,6 @@ class Simulation:
         self._energy = film.parts(wp.float64)
         size = float(np.sqrt(self.state.gas.numpy()[:, AREA].min() / np.pi))
         self._reach = LEAP * (0.5 * size if film.features.closed else size)
-        self._travel = Reading(stepper.lists.travel)
 
     @property
     def time(self) -> float:
@@ -128,8 +126,6 @@ class Simulation:
         """One step of dt seconds."""
         began = time.perf_counter()
         self.stepper.step(dt)
-        if self.scene.dt is None:
-            self._travel.take(dt)
         self.step_seconds.append(time.perf_counter() - began)
         self._last_dt = dt
 
@@ -169,6 +165,7 @@ class Simulation:
             self.stepper.wall[stage] = 0.0
         self.stepper.lists.forget_leaps()
         while end - self.time > 1e-9 / self.scene.fps:
+            self.stepper.lists.watched = watched
             self.step_towards(end)
             if watched:
                 self._check()
@@ -225,7 +222,6 @@ class Simulation:
         """Make anew what the stages keep between steps (lists, fits, first guesses) from the state, which stays."""
         film, kept, area = self.film, Snapshot(self.state), self.stepper.geometry.area
         self.stepper = Stepper(film, self.state)
-        self._travel = Reading(self.stepper.lists.travel)
         if film.features.foam:
             self.stepper.fields.update()
             self.stepper.membrane.start_motion()
@@ -297,8 +293,8 @@ class Simulation:
 
     def _fastest(self) -> float:
         """Speed of the fastest particle in the last step, on a GPU in the one before, m/s; 0 where none was done."""
-        taken = self._travel.get()
-        return float(taken[0][2:4].max()) / taken[1] if taken else 0.0
+        seen = self.stepper.lists.seen.get()
+        return float(seen[0][2:4].max()) / seen[1][0] if seen else 0.0
 
     def _fastest_wave(self) -> float:
         """Fastest wave: sqrt(2 sigma/m) where the film can move, sqrt(2 R T Gamma/m) where it is flat, m/s."""

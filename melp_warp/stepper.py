@@ -16,7 +16,7 @@ from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import ROWS_A_THREAD, Recorded, launch, when
+from melp_warp.launch import ROWS_A_THREAD, Recorded, launch
 from melp_warp.membrane import Membrane
 from melp_warp.neighbors import NeighborLists
 from melp_warp.rim import Rim
@@ -27,7 +27,10 @@ from melp_warp.transfer import Transfer
 
 STAGES = ("neighbors", "l_to_e", "geometry", "membrane", "surfactant", "e_to_l", "advance_e", "advance_l")
 
-OF_L = ("neighbors", "l_to_e", "e_to_l", "advance_l")
+LATER = ("geometry", "advance_l")
+"""Stages after E have moved, when their lists may have to be rebuilt."""
+
+OF_L = ("l_to_e", "e_to_l", "advance_l")
 """Stages whose largest kernels have a thread an L."""
 
 SHARED_ROWS = 2 * ROWS_A_THREAD
@@ -37,14 +40,15 @@ SHARED_ROWS = 2 * ROWS_A_THREAD
 class Stepper:
     """Holds the stages that a film's features ask for and runs them in order.
 
-    On a GPU a step is one graph, captured in the first step and replayed from then on; it decides on the device whether
-    lists are rebuilt and when solvers stop, and reads `dt` and what else changes from step to step from arrays. On the
-    CPU each stage is a graph of its own where it is small, and otherwise runs on all cores.
+    On a GPU a step is two graphs, captured in the first step and replayed from then on: all up to where E have moved,
+    and all after that. They decide on the device when solvers stop, and read `dt` and what else changes from step to
+    step from arrays. Before each the host has lists rebuilt where it is time, see `NeighborLists`, and nothing else to
+    do. On the CPU each stage is a graph of its own where it is small, and otherwise runs on all cores.
 
     Attributes:
         dt: the step in progress, s.
-        whole: whether a step is one graph.
-        wall: seconds spent in each stage since the last reset; not known where a step is one graph.
+        whole: whether a step is two graphs.
+        wall: seconds spent in each stage since the last reset; not known where a step is two graphs.
     """
 
     def __init__(self, film: Film, state: State):
@@ -81,7 +85,7 @@ class Stepper:
             for name, run in self._table().items()
         }
         self._fields = Recorded(self._find_fields, film.device, film.n_e, SHARED_ROWS)
-        self._graph = Recorded(self._take, film.device)
+        self._graphs = [Recorded(run, film.device) for run in (self._move, self._follow)]
         self.geometry.update()
 
     def _make_membrane(self) -> Membrane | FoamMembrane:
@@ -92,7 +96,6 @@ class Stepper:
         """The stages of a step in their order."""
         moving, lagrangian = self.film.features.moving, self.film.features.lagrangian
         table = {
-            "neighbors": self._find_neighbors if lagrangian else None,
             "l_to_e": self._gather if lagrangian else self._keep,
             "membrane": self._solve_normal if moving else None,
             "surfactant": self._solve_tangential if lagrangian else None,
@@ -106,10 +109,13 @@ class Stepper:
     def step(self, dt: float) -> None:
         """Advance the film by dt (s)."""
         self.prepare(dt)
-        if self.whole:
-            self._graph()
-        else:
-            self._take()
+        move, follow = self._graphs if self.whole else (self._move, self._follow)
+        self._timed("neighbors", self._find_neighbors)
+        move()
+        if self.film.features.moving:
+            self._timed("geometry", self.lists.update_e)
+        follow()
+        self.lists.look(dt)
         self.state.time += dt
         self.steps += 1
 
@@ -118,24 +124,35 @@ class Stepper:
         for stage in (self.exchange, self.transfer, self.membrane):
             if stage is not None:
                 stage.prepare(dt)
+        self.lists.expect(dt)
         return self.dt.at(dt)
 
-    def _take(self) -> None:
-        """Run the stages."""
+    def _move(self) -> None:
+        """Run the stages up to where E have moved."""
+        self._run(lambda name: name not in LATER)
+
+    def _follow(self) -> None:
+        """Run the other stages."""
+        self._run(lambda name: name in LATER)
+
+    def _run(self, wanted: Callable[[str], bool]) -> None:
         for name, stage in self._stages.items():
-            began = time.perf_counter()
-            stage()
-            self.wall[name] += time.perf_counter() - began
+            if wanted(name):
+                self._timed(name, stage)
+
+    def _timed(self, name: str, stage: Callable[[], None]) -> None:
+        began = time.perf_counter()
+        stage()
+        self.wall[name] += time.perf_counter() - began
 
     def _find_neighbors(self) -> None:
-        if self.exchange is not None:
-            when(self.exchange.due.array, self._exchange)
-        self.lists.update_l()
-
-    def _exchange(self) -> None:
-        self.exchange.apply(self.dt.array)  # (27), (28)
+        crossing = self.exchange is not None and self.exchange.due
+        if crossing:
+            self.exchange.apply(self.dt.array)  # (27), (28)
+        self.lists.update_l(anew=crossing)
 
     def _gather(self) -> None:
+        self.lists.note_late(1)
         self.transfer.l_to_e()  # (6), (7)
         self._fields()
 
@@ -179,7 +196,7 @@ class Stepper:
         self._guard_e("advance_e")
 
     def _find_geometry(self) -> None:
-        self.lists.update_e()
+        self.lists.note_late(0)
         self.geometry.update()  # (9), (10), (11)
         if self.film.features.closed:
             self.membrane.close_volume()

@@ -9,7 +9,7 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
-from melp_warp.kernels.rows import vec12, vec16
+from melp_warp.kernels.rows import vec12
 from melp_warp.launch import launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.settings import Setting
@@ -36,7 +36,8 @@ class Transfer:
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.weight = film.zeros(lists.le.rows.index.shape[0])
-        self._given, self._pack = film.zeros(film.n_l, vec16), film.zeros(film.total, vec12)
+        self._given = film.zeros(144 * math.ceil(film.n_l / 8))
+        self._pack = film.zeros(film.total, vec12)
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
@@ -67,8 +68,8 @@ class Transfer:
             kt.gather_l_to_e,
             film.n_e,
             [
-                *(e.x[: film.n_e], self.lists.el.rows, film.r),
-                *(self.state.l.x, self._given),
+                *(e.x, e.region, self.lists.wide.rows, self.lists.el.blocks),
+                *(film.r, self._given),
             ],
             [e.mass, e.surfactant, self.claim, self.momentum],
             film.device,
@@ -83,7 +84,7 @@ class Transfer:
             [
                 *(lag.x, lag.u, lag.affine, lag.mass, lag.surfactant, lag.eta),
                 *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
-                film.numerics.affinity,
+                *(film.numerics.affinity, self.lists.el.place),
             ],
             [self.weight, self._given, self.lost],
         )

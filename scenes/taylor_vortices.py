@@ -32,7 +32,6 @@ PARAMETERS = declare(
     l_per_e=16,
     frames=192,
     fps=24.0,
-    support=3.0,  # the wider the kernel, the sooner a vortex fades
 )
 
 

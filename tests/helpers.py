@@ -92,6 +92,15 @@ def place_e(stepper, points: np.ndarray, normals: np.ndarray | None = None) -> N
     stepper.geometry.update()
 
 
+def places_of(stepper, points: np.ndarray) -> np.ndarray:
+    """[n] the E made of each of the sampled `points` [n, 3]: E are stored in spatial order."""
+    e = stepper.state.e.x.numpy()[: len(points)]
+    places = np.empty(len(points), dtype=int)
+    places[np.lexsort(points.astype(np.float32).T)] = np.lexsort(e.T)
+    assert np.array_equal(e[places], points.astype(np.float32))
+    return places
+
+
 def fitted_order(sizes, errors) -> float:
     """Least-squares slope of log(error) over log(size)."""
     return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0])

@@ -70,7 +70,7 @@ def bubbles(count: int, e_count: int) -> Scene:
     pitch = 0.1 + e_spacing([0.05] * count, e_count)
     shape = Cluster(tuple(Bubble(tuple(pitch * c for c in place), 0.05) for place in places))
     surroundings = Surroundings(damping=20.0, air="added_mass")
-    return Scene("bubbles", shape, e_count=e_count, dt=1e-3, surroundings=surroundings, numerics=Numerics(support=3.0))
+    return Scene("bubbles", shape, e_count=e_count, dt=1e-3, surroundings=surroundings)
 
 
 CASES = {

@@ -306,9 +306,9 @@ CASES: dict[str, Case] = {
         "APIC: 1/2 (K sigma)^4",
         "-",
         v.eddy_loss,
-        [{"eddies": n, "cells": 32} for n in (1, 2, 4)] + [{"eddies": 2, "cells": 32, "support": 3.0}],
+        [{"eddies": n, "cells": 32} for n in (1, 2, 4)] + [{"eddies": 2, "cells": 32, "support": 4.0}],
         show=lambda r: f"{percent(-r['measured'])}, theory {percent(-r['exact'])}",
-        size=lambda r: f"eddies of {r['eddy_dx']:g} E, support {r.get('support', 4.0):g}",
+        size=lambda r: f"eddies of {r['eddy_dx']:g} E, support {r.get('support', 3.0):g}",
     ),
     "vortex": Case(
         "One Taylor vortex, 3 turnovers: energy, angular momentum kept",

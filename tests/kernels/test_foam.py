@@ -22,7 +22,7 @@ def pair(gap, **options):
 
 def foam(shape, e_count, device, **options):
     """Film and stepper of a foam with the numerics of the scenes."""
-    return make_stepper(shape, e_count, device, numerics={"support": 3.0, "redistribution": 1.0}, **options)
+    return make_stepper(shape, e_count, device, numerics={"redistribution": 1.0}, **options)
 
 
 def star_force(s):
@@ -160,7 +160,7 @@ def test_exchange_conserves_and_repeats(device):
     found = []
     for seed in (0, 0, 1):
         shape = Cluster((Bubble((-R, 0.0, 0.0), R), Bubble((R, 0.0, 0.0), R, thickness=600e-9)))
-        options = {"support": 3.0, "exchange": 1e4}
+        options = {"exchange": 1e4}
         _, s = make_stepper(shape, 600, device, 8, options, seed=seed, concentration=uneven)
         before = [a.numpy().copy() for a in (s.state.l.mass, s.state.l.surfactant, s.state.l.v)]
         s.exchange.apply(s.prepare(1.0 / 60.0))
@@ -180,7 +180,7 @@ def uneven(x):
 
 def make_film_regions(shape, device):
     """Regions of the L before anything crossed."""
-    _, s = make_stepper(shape, 600, device, 8, {"support": 3.0})
+    _, s = make_stepper(shape, 600, device, 8)
     return s.state.l.region.numpy()
 
 

@@ -9,7 +9,7 @@ from melp_warp.kernels.cells import voronoi_cell_e
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.shapes import Ellipsoid, Rectangle, Samples, Sphere
-from tests.helpers import Jittered, Patch, fitted_order, make_rows, make_stepper, near, pairs_of, place_e
+from tests.helpers import Jittered, Patch, fitted_order, make_rows, make_stepper, near, pairs_of, place_e, places_of
 
 COUNTS = (500, 2000, 8000, 32000)
 RADIUS = 0.05
@@ -66,11 +66,13 @@ def test_closed_surfaces_second_order(name, jitter, device):
     comes to 1.80). Cells that lie on the fitted quadric miss O(dx^2) of area and volume, with a factor that changes
     with the pattern of the golden spiral: hence steps of four in the count. Of closed films the slope is freed of its
     cubic error: their normal is of third order (without that 2.0 on the ellipsoid).
+
+    With support 4; that of 3 has half the error at 500 E, so that the remainder shows earlier: order 1.6 to 1.8.
     """
     shape, exact, area, volume = CLOSED[name]
     spacings, errors = [], []
     for count in COUNTS:
-        film, s = make_stepper(Jittered(shape, jitter), count, device)
+        film, s = make_stepper(Jittered(shape, jitter), count, device, numerics={"support": 4.0})
         x = s.state.e.x.numpy().astype(np.float64)
         n, kappa = exact(x)
         spacings.append(film.spacing)
@@ -84,6 +86,24 @@ def test_closed_surfaces_second_order(name, jitter, device):
         )
     for quantity, values in zip(("curvature", "normal", "area", "volume"), np.transpose(errors), strict=True):
         check_order(spacings, values, f"{name} {quantity}", 2.5 if quantity == "normal" else 1.8)
+
+
+@pytest.mark.parametrize(("name", "jitter"), [("sphere", 0.15), ("ellipsoid", 0.1)])
+def test_narrow_support_has_the_smaller_curvature_error(name, jitter, device):
+    """The quartic term left out of a fit grows with the square of its width: (3/4)^2 = 0.56 of the error of support 4.
+
+    On jittered points the remainder of the cubic term, of O(dx) times the jitter, takes some of that back as the film
+    is refined; at 8,000 E the narrow fits are still the better ones.
+    """
+    shape, exact, _, _ = CLOSED[name]
+    for count in (500, 2000, 8000):
+        worst = []
+        for support in (3.0, 4.0):
+            _, s = make_stepper(Jittered(shape, jitter), count, device, numerics={"support": support})
+            _, kappa = exact(s.state.e.x.numpy().astype(np.float64))
+            worst.append(np.abs(s.geometry.curvature(s.state.e.x).numpy() / kappa - 1.0).max())
+        print(f"{name}, {count} E: {worst[0]:.2%} with support 3, {worst[1]:.2%} with 4")
+        assert worst[0] < 0.8 * worst[1]
 
 
 def cylinder_and_plane(count, half_length=1.6, seed=3):
@@ -121,13 +141,14 @@ def test_cylinder_second_order(device):
         samples, flat, middle = cylinder_and_plane(count)
         film, s = make_stepper(Patch(samples), count, device)
         _, plane = make_stepper(Patch(flat), count, device)
+        at, there = places_of(s, samples.points)[middle], places_of(plane, flat.points)[middle]
         spacings.append(film.spacing)
         errors.append(
             [
-                np.abs(s.geometry.curvature(s.state.e.x).numpy() + 1.0)[middle].max(),
-                np.linalg.norm(s.state.e.normal.numpy() - samples.normals, axis=1)[middle].max(),
-                np.abs(s.geometry.area.numpy() / plane.geometry.area.numpy() - 1.0)[middle].max(),
-                np.abs(s.geometry.cell.numpy() / plane.geometry.cell.numpy() - 1.0)[middle].max(),
+                np.abs(s.geometry.curvature(s.state.e.x).numpy() + 1.0)[at].max(),
+                np.linalg.norm(s.state.e.normal.numpy()[at] - samples.normals[middle], axis=1).max(),
+                np.abs(s.geometry.area.numpy()[at] / plane.geometry.area.numpy()[there] - 1.0).max(),
+                np.abs(s.geometry.cell.numpy()[at] / plane.geometry.cell.numpy()[there] - 1.0).max(),
             ]
         )
     for quantity, values in zip(("curvature", "normal", "area", "cell"), np.transpose(errors), strict=True):
@@ -138,11 +159,12 @@ def test_sph_curvature_does_not_converge_on_uneven_points(device):
     """The paper's SPH Laplacian (21) of the height: its error on jittered points stays, whatever the spacing.
 
     Measured on the sphere with 0.15 dx jitter: standard deviation 1.3 % and maximum 4 to 6 % from 1,000 to 8,000 E.
-    Its mean is right to 0.2 %. That is why MLS is the default.
+    Its mean is right to 0.2 %. That is why MLS is the default. With the paper's support of 4; with 3 the spread is
+    wider and the mean off by 0.4 %.
     """
     spacings, spread = [], []
     for count in COUNTS:
-        film, s = make_stepper(Jittered(Sphere(RADIUS)), count, device, numerics={"curvature": "sph"})
+        film, s = make_stepper(Jittered(Sphere(RADIUS)), count, device, numerics={"curvature": "sph", "support": 4.0})
         relative = s.geometry.curvature(s.state.e.x).numpy() * (-RADIUS / 2.0)
         spacings.append(film.spacing)
         spread.append(relative.std())
@@ -308,16 +330,18 @@ def test_cells_in_a_corner_are_no_larger_than_neighbours_are_apart(device):
         assert 0.0 < area.numpy()[0] < 0.25 * 2.0 * np.sqrt(3.0) + 1e-5  # hexagon about a circle of radius 1/2
 
 
-@pytest.mark.parametrize(("jitter", "bound"), [(0.0, 2e-3), (0.15, 1.2e-2)])
-def test_even_film_has_even_thickness(jitter, bound, device):
+@pytest.mark.parametrize(("jitter", "support", "bound"), [(0.0, 3.0, 2e-3), (0.15, 3.0, 2.1e-2), (0.15, 4.0, 1.2e-2)])
+def test_even_film_has_even_thickness(jitter, support, bound, device):
     """An even film of L, each with its share of the area, gives E the thickness eta_E = V_E/a_E = eta.
 
     V_E/eta and a_E are the same integral of w = W(E, x)/sum W by two quadratures, over the L and over the Voronoi cells
     of E. The second one takes w at the particle, not at its cell's centroid an offset c away: a relative error
-    sqrt(dx^2 c^2 int |grad w|^2/2) = 0.2 c/dx for r = 4 dx, and c is at most the jitter, 0.06 dx an axis where it
-    reaches 0.15 dx: std below 1.2 % (measured 0.58 %; 0.08 % without jitter). The mean is that of the areas, 2e-4.
+    sqrt(dx^2 c^2 int |grad w|^2/2) = 0.2 c/dx (4 dx/r)^2, and c is at most the jitter, 0.06 dx an axis where it
+    reaches 0.15 dx: std below 1.2 % for r = 4 dx (measured 0.58 %) and 2.1 % for r = 3 dx (1.3 %; 0.1 % without
+    jitter). The mean is that of the areas, 2e-4.
     """
-    film, s = make_stepper(Jittered(Sphere(RADIUS), jitter), 2000, device, l_per_e=16)
+    shape = Jittered(Sphere(RADIUS), jitter)
+    film, s = make_stepper(shape, 2000, device, l_per_e=16, numerics={"support": support})
     lag, m = s.state.l, film.material
     lag.mass.fill_(m.areal_mass * 4.0 * np.pi * RADIUS**2 / film.n_l)
     s.transfer.gather()

@@ -6,11 +6,9 @@ import warp as wp
 
 from melp_warp.advance import PROJECTION_REACH
 from melp_warp.errors import SimulationError
-from melp_warp.kernels import neighbors as kn
 from melp_warp.material import Surroundings
-from melp_warp.neighbors import CellGrid, NeighborList
 from melp_warp.shapes import Disc, Sphere
-from tests.helpers import Jittered, make_rows, make_stepper, near, pairs_of, place_e
+from tests.helpers import Jittered, make_stepper, near, pairs_of, place_e
 
 SHAPES = {"closed": Jittered(Sphere(0.05)), "flat": Jittered(Disc(0.05))}
 
@@ -40,9 +38,28 @@ def missing(rows, x, source, radius, same=False):
     return int(want.sum())
 
 
+def unseen(stepper):
+    """Number of E:L pairs within r that `gather_blocks` would not look at; every L stands in one block."""
+    film, lists = stepper.film, stepper.lists
+    e, _, lag = positions(stepper)
+    start, reach, place = (a.numpy() for a in (lists.el.blocks.start, lists.el.blocks.reach, lists.el.place))
+    assert start[0] == 0 and start[-1] == film.n_l and np.all(np.diff(start) >= 0)
+    assert np.array_equal(np.sort(place), np.arange(film.n_l))
+    block = np.searchsorted(start, place, side="right") - 1
+    looks = np.zeros((film.n_e, film.n_e + 1), dtype=bool)
+    looks[np.arange(film.n_e), np.arange(film.n_e)] = True
+    i, _, h = pairs_of(lists.wide.rows)
+    i, h = i[h < film.n_e], h[h < film.n_e]
+    close = np.linalg.norm(e[i] - e[h], axis=1) <= film.r + reach[h]
+    looks[i[close], h[close]] = True
+    looks[:, film.n_e] = True
+    apart = np.linalg.norm(e[:, None] - lag[None], axis=2)
+    return int(np.sum((apart <= film.r) & ~looks[:, block]))
+
+
 @pytest.mark.parametrize("name", SHAPES)
 def test_lists_equal_brute_force(name, device):
-    """E:E (without itself), L:E and E:L hold the pairs within r + skin, each once.
+    """E:E (without itself) and L:E hold the pairs within r + skin, each once; blocks hold what is within r of an E.
 
     Distances within rounding of the radius may fall on either side: compared just below and just above it.
     """
@@ -52,14 +69,46 @@ def test_lists_equal_brute_force(name, device):
     for rows, x, source, same in (
         (lists.ee.rows, e, all_e, True),
         (lists.le.rows, lag, all_e, False),
-        (lists.el.rows, e, lag, False),
     ):
         have = rows_as_sets(rows)
         low = near(x, source, lists.reach * (1.0 - 1e-5), same)
         high = near(x, source, lists.reach * (1.0 + 1e-5), same)
         for got, inside, around in zip(have, low, high, strict=True):
             assert set(inside.tolist()) <= got <= set(around.tolist())
+    assert unseen(s) == 0
     assert (film.n_b > 0) == (name == "flat")
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_lists_from_homes_equal_those_by_the_grid(name, device):
+    """L that moved a little, far, and off the film: the list picked around their homes is what the grid gives.
+
+    A home is the nearest E; L farther from any E than the margin are in the last block. E come before boundary
+    particles in a row.
+    """
+    film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4)
+    rng = np.random.default_rng(2)
+    e, all_e, lag = positions(s)
+    lag += 0.1 * film.spacing * rng.normal(size=lag.shape)
+    lag[::5] = lag[rng.permutation(len(lag))[: len(lag[::5])]]
+    lag[3] = e[7] + 0.9 * film.spacing * s.state.e.normal.numpy()[7]
+    s.state.l.x.assign(lag.astype(np.float32))
+    s.lists.rebuild_l()
+    e, all_e, lag = positions(s)
+    have, low = rows_as_sets(s.lists.le.rows), near(lag, all_e, s.lists.reach * (1.0 - 1e-5))
+    high = near(lag, all_e, s.lists.reach * (1.0 + 1e-5))
+    for got, inside, around in zip(have, low, high, strict=True):
+        assert set(inside.tolist()) <= got <= set(around.tolist())
+    apart = np.linalg.norm(lag[:, None] - e[None], axis=2)
+    at = s.lists.le.home.numpy()
+    assert np.all(apart[np.arange(len(lag)), at] <= apart.min(axis=1) * (1.0 + 1e-5))
+    assert unseen(s) == 0
+    far = apart.min(axis=1) > s.lists.le.margin
+    start, place = s.lists.el.blocks.start.numpy(), s.lists.el.place.numpy()
+    assert far.any() and np.array_equal(place >= start[film.n_e], far)
+    rows = s.lists.le.rows
+    for a, b in zip(rows.start.numpy(), rows.stop.numpy(), strict=True):
+        assert np.all(np.diff((rows.index.numpy()[a:b] >= film.n_e).astype(int)) >= 0)
 
 
 def test_lists_refill_after_a_move(device):
@@ -71,36 +120,7 @@ def test_lists_refill_after_a_move(device):
     e, all_e, lag = positions(s)
     assert missing(s.lists.ee.rows, e, all_e, s.film.r, same=True) == 0
     assert missing(s.lists.le.rows, lag, all_e, s.film.r) == 0
-    assert missing(s.lists.el.rows, e, lag, s.film.r) == 0
-
-
-@pytest.mark.parametrize("reach", [0.4, 1.0, 1.7])
-def test_a_grid_wraps_around(reach, device):
-    """Points over 40 cells each way, of which the grid has 16: each point within reach once, at any reach."""
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-20.0, 20.0, (40, 1, 3)) + rng.normal(scale=0.6, size=(40, 10, 3))
-    points[0] = points[1] + 16.0  # in the same cells
-    points = points.reshape(-1, 3).astype(np.float32)
-    x = wp.array(points, dtype=wp.vec3, device=device)
-    grid = CellGrid(len(points), 1.0, device)
-    grid.build(x)
-    assert grid.cells.side == 16
-    rows = NeighborList(grid, x, len(points), x, reach, kn.SAME).rows
-    low, high = (near(points, points, reach * scale, same=True) for scale in (1.0 - 1e-6, 1.0 + 1e-6))
-    for got, inside, around in zip(rows_as_sets(rows), low, high, strict=True):
-        assert set(inside.tolist()) <= got <= set(around.tolist())
-    assert len(pairs_of(rows)[0]) > 50
-
-
-def test_rows_are_sorted(device):
-    """Rows filled in any order, as on a GPU: empty ones, single ones and long ones."""
-    rng = np.random.default_rng(1)
-    columns = [rng.permutation(50)[:count] for count in (0, 1, 2, 17, 50, 0)]
-    rows = make_rows(columns, device)
-    wp.launch(kn.sort_rows, len(columns), [rows], device=device)
-    i, _, j = pairs_of(rows)
-    for k, wanted in enumerate(columns):
-        assert j[i == k].tolist() == sorted(wanted.tolist())
+    assert unseen(s) == 0
 
 
 def test_an_overflow_is_not_forgotten(device):
@@ -130,7 +150,7 @@ def test_skin_of_opposed_motion(device):
 
     Two E may close in at twice the speed of one: a skin of 0.5 dx lasts for one such walk, not for two.
     """
-    film, s = make_stepper(SHAPES["closed"], 500, device)
+    film, s = make_stepper(SHAPES["closed"], 500, device, numerics={"skin": 0.5})
     x = s.state.e.x.numpy().astype(np.float64)
     way = np.random.default_rng(0).normal(size=x.shape)
     way *= 0.2 * film.spacing / np.linalg.norm(way, axis=1, keepdims=True)
@@ -167,10 +187,11 @@ def whirl(points):
 def test_skin_keeps_every_pair(name, velocity, dt, device):
     """Over 40 steps of flow, no pair within r is missing when it is used, though lists live for several steps.
 
-    E:E is used from the end of a step on, L:E and E:L from `update_l` on; between, the projection of the moved L reads
-    pairs within its own shorter reach.
+    E:E is used from the end of a step on, L:E and the blocks from `update_l` on; between, the projection of the
+    moved L reads pairs within its own shorter reach.
     """
-    film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4, velocity=velocity, surroundings=AIR)
+    skin = {"skin": 0.5}
+    film, s = make_stepper(SHAPES[name], 500, device, l_per_e=4, numerics=skin, velocity=velocity, surroundings=AIR)
     start = positions(s)
     before = s.lists.builds
     largest = 0.0
@@ -183,7 +204,7 @@ def test_skin_keeps_every_pair(name, velocity, dt, device):
         assert missing(s.lists.le.rows, lag, all_e, PROJECTION_REACH * film.spacing) == 0
         s.lists.update_l()
         assert missing(s.lists.le.rows, lag, all_e, film.r) == 0
-        assert missing(s.lists.el.rows, e, lag, film.r) == 0
+        assert unseen(s) == 0
     moved = [np.linalg.norm(a - b, axis=1).max() / film.spacing for a, b in ((e, start[0]), (lag, start[2]))]
     builds = np.subtract(s.lists.builds, before)
     print(f"{name}: E moved {moved[0]:.2f}, L {moved[1]:.2f} dx, {largest / film.spacing:.2f} a step; builds {builds}")

@@ -9,6 +9,7 @@ from melp_warp.cluster import Bubble, Cluster, Wall
 from melp_warp.kernels import rows as kr
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.launch import launch
+from melp_warp.neighbors import fixed_rows
 from melp_warp.shapes import Disc, Sphere
 from tests.helpers import make_rows, make_stepper
 
@@ -22,7 +23,6 @@ def evaluate_rows(
     f: wp.array(dtype=float),
     frame: wp.array(dtype=wp.vec3),
     turn: kr.mat53,
-    pack16: wp.array(dtype=kr.vec16),
     pack12: wp.array(dtype=kr.vec12),
     rows: Neighbors,
     r: float,
@@ -44,9 +44,6 @@ def evaluate_rows(
     q = kr.cloud_moments(i, x, rows, r)
     for c in range(10):
         out[i, 22 + c] = q[c]
-    g = kr.gather_row(i, x[i], x, pack16, rows, r)
-    for c in range(6):
-        out[i, 32 + c] = g[c]
     kr.write_row_gradient(i, x, frame[0], frame[1], turn, rows, r, limit, gradient)
     kr.weigh_row_laplacian(i, x, f, rows, r, limit, 0.7, laplacian)
 
@@ -84,7 +81,7 @@ def cloud(device):
     columns = [rng.permutation(np.delete(np.arange(N), i))[: i % 41] for i in range(N)]
     frame = np.linalg.qr(rng.normal(size=(3, 3)))[0].astype(np.float32)
     turn = rng.normal(size=(5, 3)).astype(np.float32)
-    p16, p12 = rng.normal(size=(N, 16)).astype(np.float32), rng.normal(size=(N, 12)).astype(np.float32)
+    p12 = rng.normal(size=(N, 12)).astype(np.float32)
     p12[:, :3], p12[:, 6] = x, 1.0
     rows = make_rows(columns, device)
     pairs = rows.index.shape[0]
@@ -96,14 +93,14 @@ def cloud(device):
         return wp.array(values, dtype=dtype, device=device)
 
     wx, w12 = array(x, wp.vec3), array(p12, kr.vec12)
-    inputs = [wx, array(f, float), array(frame, wp.vec3), kr.mat53(*turn.ravel().tolist()), array(p16, kr.vec16), w12]
+    inputs = [wx, array(f, float), array(frame, wp.vec3), kr.mat53(*turn.ravel().tolist()), w12]
     launch(evaluate_rows, N, [*inputs, rows, R, LIMIT], [pair, laplacian, gradient, out], device)
     launch(evaluate_moments, N, [wx, w12, pair, rows], [moments], device)
     made = {"pair": pair, "laplacian": laplacian, "gradient": gradient, "out": out, "moments": moments}
     made = {name: a.numpy() for name, a in made.items()}
     i, j = np.repeat(np.arange(N), [len(c) for c in columns]), np.concatenate(columns).astype(int)
     d = x[j].astype(float) - x[i]
-    return made, i, j, d, {"x": x, "f": f, "frame": frame, "turn": turn, "p16": p16, "p12": p12}
+    return made, i, j, d, {"x": x, "f": f, "frame": frame, "turn": turn, "p12": p12}
 
 
 def by_row(i, values):
@@ -152,13 +149,72 @@ def test_cloud_moments(cloud):
     agree(made["out"][:, 22:32], by_row(i, w[:, None] * np.stack(terms, axis=1)))
 
 
-def test_gathered_pack(cloud):
-    """`gather_row`: sum of W (m + S d, s) with d from the neighbour to the point."""
-    made, i, j, d, given = cloud
-    pack = given["p16"].astype(float)[j].reshape(-1, 4, 4)
-    w = 9.0 / R**2 * spline(3.0 * np.linalg.norm(d, axis=1) / R)
-    vector = pack[:, 0, :3] - np.einsum("kac,ka->kc", pack[:, 1:, :3], d)
-    agree(made["out"][:, 32:38], by_row(i, w[:, None] * np.column_stack([vector, pack[:, :3, 3]])))
+@wp.kernel(enable_backward=False)
+def pack_points(
+    x: wp.array(dtype=wp.vec3),
+    m: wp.array(dtype=wp.vec3),
+    s: wp.array(dtype=wp.vec3),
+    slope: wp.array(dtype=wp.mat33),
+    pack: wp.array(dtype=float),
+):
+    i = wp.tid()
+    kr.write_pack(i, x[i], m[i], s[i], slope[i], pack)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_blocks(
+    home: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    pack: wp.array(dtype=float),
+    block: kr.Blocks,
+    rows: Neighbors,
+    r: float,
+    out: wp.array2d(dtype=float),
+):
+    i = rows.first + wp.tid()
+    g = kr.gather_blocks(i, home, region[i], pack, block, rows, r)
+    for c in range(6):
+        out[i, c] = g[c]
+
+
+def test_gathered_blocks(device):
+    """`gather_blocks`: sum of W (m + S d, s) over the blocks of a row, of itself, and of the last its region's points.
+
+    Blocks of none to forty points; an entry beyond the blocks and a block out of reach are passed over.
+    """
+    rng = np.random.default_rng(4)
+    homes = rng.uniform(-0.5, 0.5, (N, 3))
+    size = rng.integers(0, 14, N + 1)
+    size[[3, N]] = 40, 9
+    start = np.concatenate([[0], np.cumsum(size)])
+    owner = np.repeat(np.arange(N + 1), size)
+    total = len(owner)
+    x = np.concatenate([homes, [[0.0, 0.0, 0.0]]])[owner] + rng.uniform(-0.2, 0.2, (total, 3))
+    m, s, slope = rng.normal(size=(total, 3)), rng.normal(size=(total, 3)), rng.normal(size=(total, 3, 3))
+    own, of = rng.integers(0, 2, N), np.concatenate([rng.integers(0, 2, total), np.zeros(7, dtype=int)])
+    columns = [rng.permutation(np.delete(np.arange(N + 3), i))[: i % 41] for i in range(N)]
+
+    def array(values, dtype):
+        return wp.array(values.astype(np.int32 if dtype is wp.int32 else np.float32), dtype=dtype, device=device)
+
+    block = kr.Blocks()
+    distance = np.linalg.norm(x[: start[N]] - homes[owner[: start[N]]], axis=1)
+    reach = np.array([distance[owner[: start[N]] == h].max(initial=0.0) for h in range(N)])
+    block.start, block.reach, block.region = array(start, wp.int32), array(1.001 * reach, float), array(of, wp.int32)
+    pack = wp.zeros(144 * -(-total // 8), dtype=float, device=device)
+    out = wp.zeros((N, 6), dtype=float, device=device)
+    inputs = [array(x, wp.vec3), array(m, wp.vec3), array(s, wp.vec3), array(slope, wp.mat33)]
+    launch(pack_points, total, inputs, [pack], device)
+    rows = make_rows(columns, device)
+    launch(evaluate_blocks, N, [array(homes, wp.vec3), array(own, wp.int32), pack, block, rows, R], [out], device)
+    expected = np.zeros((N, 6))
+    for i in range(N):
+        among = np.isin(owner, [i, *columns[i]]) & (owner < N) | (owner == N) & (of[:total] == own[i])
+        d = homes[i] - x[among]
+        w = 9.0 / R**2 * spline(3.0 * np.linalg.norm(d, axis=1) / R)[:, None]
+        expected[i, :3] = np.sum(w * (m[among] + np.einsum("kac,kc->ka", slope[among], d)), axis=0)
+        expected[i, 3:] = np.sum(w * s[among], axis=0)
+    agree(out.numpy(), expected)
 
 
 def test_moments_of_pack(cloud):
@@ -185,6 +241,166 @@ def test_laplacian_weights(cloud):
     made, i, j, d, given = cloud
     f, s = given["f"].astype(float), 3.0 * np.linalg.norm(d, axis=1) / R
     agree(made["laplacian"], f[i] * np.where(j < LIMIT, f[j], 0.7) * 2.0 * (3.0 / R) ** 4 * slope(s) / s)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_lists(
+    x: wp.array(dtype=wp.vec3),
+    home: wp.array(dtype=wp.int32),
+    p: wp.array(dtype=wp.vec3),
+    wide: Neighbors,
+    radius: float,
+    limit: int,
+    stride: int,
+    # outputs
+    found: wp.array(dtype=wp.vec2i),
+    out: wp.array(dtype=wp.int32),
+):
+    i = wp.tid()
+    found[i] = kr.list_around_home(home[i], p[i], x, wide, radius, limit, i * stride, stride, out)
+
+
+@pytest.mark.parametrize("stride", [70, 4])
+def test_list_around_home(stride, device):
+    """`list_around_home`: the home and its row's points within the radius, no more than fit; the nearest one."""
+    rng = np.random.default_rng(5)
+    n = 150
+    x = rng.uniform(-0.5, 0.5, (n, 3)).astype(np.float32)
+    columns = [rng.permutation(np.delete(np.arange(n), i))[: i % 141] for i in range(n)]
+    home = rng.integers(0, n, 80)
+    p = (x[home] + rng.uniform(-0.3, 0.3, (80, 3))).astype(np.float32)
+    found, out = wp.zeros(80, dtype=wp.vec2i, device=device), wp.full(80 * stride, -1, dtype=wp.int32, device=device)
+    inputs = [wp.array(x, dtype=wp.vec3, device=device), wp.array(home.astype(np.int32), device=device)]
+    inputs += [wp.array(p, dtype=wp.vec3, device=device), make_rows(columns, device), 0.4, 100, stride]
+    launch(evaluate_lists, 80, inputs, [found, out], device)
+    out, found = out.numpy().reshape(80, stride), found.numpy()
+    for i, h in enumerate(home):
+        among = np.array([h, *columns[h]])
+        apart = np.linalg.norm(x[among].astype(float) - p[i].astype(float), axis=1)
+        want = set(among[apart <= 0.4].tolist())
+        got = out[i, : found[i, 0]].tolist()
+        assert found[i, 0] == len(want)
+        assert len(got) == len(set(got)) == min(len(want), stride)
+        assert set(got) <= want
+        allowed = (among < 100) | (among == h)
+        assert found[i, 1] == among[allowed][apart[allowed].argmin()]
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_products(a: wp.array(dtype=float), b: wp.array(dtype=float), begin: int, out: wp.array(dtype=float)):
+    out[0] = kr.sum_products(a, b, begin, a.shape[0])
+
+
+def test_sum_products(device):
+    """`sum_products`: the sum of a_k b_k over a range."""
+    a, b = np.random.default_rng(6).normal(size=(2, 1003)).astype(np.float32)
+    out = wp.zeros(1, dtype=float, device=device)
+    launch(evaluate_products, 1, [wp.array(a, device=device), wp.array(b, device=device), 5], [out], device)
+    terms = a[5:].astype(float) * b[5:]
+    assert abs(out.numpy()[0] - terms.sum()) < 1e-6 * np.abs(terms).sum()
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_heights(
+    p: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=kr.Quadric),
+    rows: Neighbors,
+    r: float,
+    limit: int,
+    # outputs
+    out: wp.array(dtype=wp.vec3),
+):
+    i = rows.first + wp.tid()
+    out[i] = kr.height_over_fits(i, p[i], x, surface, rows, r, limit)
+
+
+def test_height_over_fits(device):
+    """`height_over_fits`: weighted mean of the heights over the fits along their normals; 0 where none is near."""
+    rng = np.random.default_rng(7)
+    x, p = rng.uniform(-0.5, 0.5, (2, N, 3))
+    p[4] = 9.0
+    fits = rng.normal(size=(N, 15)).astype(np.float32)
+    columns = [rng.permutation(N)[: i % 41] for i in range(N)]
+    places = [wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in (p, x)]
+    surface = wp.array(fits.view(kr.Quadric.numpy_dtype()).ravel(), dtype=kr.Quadric, device=device)
+    out = wp.zeros(N, dtype=wp.vec3, device=device)
+    launch(evaluate_heights, N, [*places, surface, make_rows(columns, device), R, LIMIT], [out], device)
+    normal, gradient, second = fits[:, :3], fits[:, 3:6], fits[:, 6:].reshape(-1, 3, 3)
+    expected = np.zeros((N, 3))
+    for i, row in enumerate(columns):
+        j = row[row < LIMIT]
+        d = p[i] - x[j]
+        w = spline(3.0 * np.linalg.norm(d, axis=1) / R)
+        height = np.sum(d * (gradient[j] - np.einsum("kab,kb->ka", second[j], d)), axis=1)
+        if w.sum() > 0.0:
+            expected[i] = (w * height) @ normal[j] / w.sum()
+    agree(out.numpy(), expected)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_cells(
+    x: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    # outputs
+    star: Neighbors,
+    weight: wp.array(dtype=float),
+    out: wp.array(dtype=kr.vec6),
+):
+    i = rows.first + wp.tid()
+    e1 = wp.vec3(1.0, 0.0, 0.0)
+    e2 = wp.vec3(0.0, 1.0, 0.0)
+    out[i] = kr.cut_cell(i, x, e1, e2, wp.vec3(0.0, 0.0, 1.0), rows, r, star, weight)
+
+
+def clipped(lines, half):
+    """Corners of the square of side 2 half cut by every line (u, v, offset, label), and the label of each edge."""
+    corners = [half * np.array(c) for c in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    labels = [-1] * 4
+    for u, v, offset, label in lines:
+        kept, names = [], []
+        for k, c in enumerate(corners):
+            before, name = corners[k - 1], labels[k - 1]
+            s, t = before @ (u, v) - offset, c @ (u, v) - offset
+            if (s < 0.0) != (t < 0.0):
+                kept.append(before + s / (s - t) * (c - before))
+                names.append(label if s < 0.0 else name)
+            if t < 0.0:
+                kept.append(c)
+                names.append(labels[k])
+        corners, labels = kept, names
+    return np.array(corners), labels
+
+
+def test_cut_cell(device):
+    """`cut_cell`: moments and star of a cell cut by the lines of all in its row, one after another."""
+    rng = np.random.default_rng(8)
+    i = np.arange(N)
+    flat = np.stack([i % 8, i // 8], axis=1) + rng.uniform(-0.3, 0.3, (N, 2))
+    x = (0.3 * np.column_stack([flat, 0.1 * rng.normal(size=N)])).astype(np.float32)
+    columns = [rng.permutation(np.delete(i, k)) for k in i]
+    out, weight = wp.zeros(N, dtype=kr.vec6, device=device), wp.zeros(kr.CORNERS * N, dtype=float, device=device)
+    star = fixed_rows(N, kr.CORNERS, device)
+    inputs = [wp.array(x, dtype=wp.vec3, device=device), make_rows(columns, device), R]
+    launch(evaluate_cells, N, inputs, [star, weight, out], device)
+    starts, stops, index, weight = star.start.numpy(), star.stop.numpy(), star.index.numpy(), weight.numpy()
+    for k in i:
+        d = x[columns[k]].astype(float) - x[k]
+        plane = d[:, 0] ** 2 + d[:, 1] ** 2
+        offset = 0.5 * np.sqrt(plane * (plane + 0.888 * d[:, 2] ** 2))
+        corners, labels = clipped(zip(d[:, 0], d[:, 1], offset, columns[k], strict=True), 0.5 * R)
+        after = np.roll(corners, -1, axis=0)
+        (u, v), (s, t) = corners.T, after.T
+        cross = u * t - v * s
+        terms = [cross / 2, cross / 6 * (u + s), cross / 6 * (v + t), cross / 12 * (u * u + u * s + s * s)]
+        terms += [cross / 24 * (2 * u * v + u * t + s * v + 2 * s * t), cross / 12 * (v * v + v * t + t * t)]
+        np.testing.assert_allclose(out.numpy()[k], np.sum(terms, axis=1), atol=2e-7)
+        got = dict(zip(index[starts[k] : stops[k]], weight[starts[k] : stops[k]], strict=True))
+        apart = np.linalg.norm(x[labels] - x[k], axis=1)
+        ties = np.linalg.norm(after - corners, axis=1) / np.maximum(apart, 1e-9)
+        expected = {label: tie for label, tie in zip(labels, ties, strict=True) if label >= 0 and tie > 1e-3}
+        assert {j: w for j, w in got.items() if w > 1e-3} == pytest.approx(expected, abs=1e-4)
 
 
 def swirl(x):

@@ -139,8 +139,13 @@ def test_hydrostatic_film_stays_at_rest(device):
     assert np.abs(s.tangential.solver.x.numpy()[: film.n_e] / profile - 1.0).max() < 1e-5
 
 
-def test_even_film_falls_freely_without_surfactant(device):
-    """No surfactant, no Marangoni force: u = g dt everywhere in a vertical film, to rounding."""
+@pytest.mark.parametrize(("support", "bound"), [(3.0, 2e-4), (4.0, 1e-4)])
+def test_even_film_falls_freely_without_surfactant(support, bound, device):
+    """No surfactant, no Marangoni force: u = g dt everywhere in a vertical film, to rounding.
+
+    Rounding is largest at the rim, where half of the neighbours are left for a one-sided fit: 7e-5 with those of
+    support 4, 1.6e-4 with those of support 3, about half as many; 5e-6 is the median with either.
+    """
     surroundings = Surroundings(gravity=(0.0, -G, 0.0))
     film, s = make_stepper(
         Jittered(Rectangle(WIDTH, HEIGHT)),
@@ -149,13 +154,16 @@ def test_even_film_falls_freely_without_surfactant(device):
         l_per_e=1,
         surroundings=surroundings,
         material=Material(surfactant=0.0),
+        numerics={"support": support},
     )
     assert s.tangential.solver is None
     s.fields.update()
     s.forces.update()
     s.tangential.solve(s.prepare(1e-2))
     u = s.state.e.u.numpy()[: film.n_e] / (G * 1e-2)
-    assert np.abs(u - [0.0, -1.0, 0.0]).max() < 1e-4
+    error = np.abs(u - [0.0, -1.0, 0.0]).max(axis=1)
+    assert error.max() < bound
+    assert np.median(error) < 1e-5
 
 
 @pytest.mark.parametrize("flat", [False, True])

@@ -141,7 +141,8 @@ def test_boundary_particles_take_no_mass(device):
 def test_thickness_follows_dilation(device):
     """(8): where L claim what E control, D eta/Dt = -eta div u makes eta_L shrink by exp(-dt div u)."""
     film, s = make_stepper(SHAPES["sphere"], 600, device, l_per_e=16)
-    s.transfer.gather()
+    s.transfer.normalize()
+    wp.copy(s.transfer.claim, s.geometry.area)
     before = f64(s.state.l.eta)
     dilation = wp.full(film.n_e, 12.0, dtype=float, device=device)
     s.transfer.e_to_l(dilation, s.prepare(0.01))

@@ -80,8 +80,8 @@ def test_a_bubble_too_small_for_the_spacing_is_refused_with_the_count_it_takes(b
         Simulation(Scene("small", cluster, e_count=500))
     message = str(error.value)
     assert message.startswith("e_count must be at least")
-    assert "bubble 2, of radius 0.01 m, must be 8 spacings across, got 500" in message
+    assert "bubble 2, of radius 0.01 m, must be 6 spacings across, got 500" in message
     assert ("for the 2 at the start" in message) == (born > 0.0)
     need = int(re.search(r"at least (\d+)", message)[1])
-    assert e_spacing([b.radius for b in cluster.bubbles if b.born == 0.0], need) == pytest.approx(0.02 / 8.0, rel=1e-3)
+    assert e_spacing([b.radius for b in cluster.bubbles if b.born == 0.0], need) == pytest.approx(0.02 / 6.0, rel=1e-3)
     Simulation(Scene("small", cluster, e_count=need))

@@ -14,7 +14,7 @@ from tests.helpers import fitted_order
 
 R = 0.05
 AIR = Surroundings(air="added_mass", damping=30.0)
-NUMERICS = Numerics(support=3.0, cfl=0.5)
+NUMERICS = Numerics(cfl=0.5)
 
 
 def cluster_scene(bubbles, e_count, *, walls=(), events=(), **options):
@@ -145,7 +145,7 @@ def test_a_bubble_without_contact_falls_as_its_weight_says():
 
 def test_liquid_is_conserved_while_it_crosses():
     """Mass and surfactant within 1e-6 while L cross the partition, and some do."""
-    scene = two(400, l_per_e=4, numerics=Numerics(support=3.0, cfl=0.5, exchange=100.0))
+    scene = two(400, l_per_e=4, numerics=Numerics(cfl=0.5, exchange=100.0))
     simulation = Simulation(scene)
     start, before = simulation.diagnostics(), simulation.state.l.region.numpy().copy()
     for _ in range(12):
@@ -158,7 +158,7 @@ def test_liquid_is_conserved_while_it_crosses():
 
 def test_same_seed_same_foam():
     """Two runs agree to the bit."""
-    scene = two(400, l_per_e=2, numerics=Numerics(support=3.0, cfl=0.5, exchange=100.0))
+    scene = two(400, l_per_e=2, numerics=Numerics(cfl=0.5, exchange=100.0))
     runs = []
     for _ in range(2):
         simulation = Simulation(scene)

@@ -67,7 +67,7 @@ def test_a_film_far_from_the_origin_is_the_same_film():
 
 def test_a_frame_that_leaps_is_done_again():
     """A dumbbell in steps of 1/60 s jumps too far; that frame is done again in smaller steps, from its start."""
-    numerics = Numerics(support=3.0)
+    numerics = Numerics()
     simulation = Simulation(Scene("leap", limits.dumbbell(), 1000, 2, numerics=numerics, dt=1.0 / 60.0))
     seen = [simulation.diagnostics()]
     for frame in range(1, 4):
@@ -164,7 +164,7 @@ def test_midpoint_rule_goes_over_to_backward_euler():
 
 
 def two_bubbles(*events: Pop) -> Scene:
-    numerics = Numerics(support=3.0, cfl=0.5)
+    numerics = Numerics(cfl=0.5)
     shape = Cluster(limits.meeting(0.2, e_count=400), events=events)
     return Scene("two", shape, 400, 2, numerics=numerics, surroundings=Surroundings(damping=20.0, air="added_mass"))
 

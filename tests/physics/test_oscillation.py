@@ -41,8 +41,11 @@ def test_frequency_at_full_resolution(mode, air):
     [("trapezoid", (20, 40, 80), 1.8, 2.4), ("backward_euler", (40, 80, 160), 0.85, 1.2)],
 )
 def test_order_in_time(scheme, counts, least, most):
-    """Amplitude over a period against a run with T/320: error dt^2 for the midpoint rule, dt for backward Euler."""
-    run = v.time_order(scheme, e_count=400, steps_per_period=counts, reference=320, periods=1.0)
+    """Amplitude over a period against a run with T/320: error dt^2 for the midpoint rule, dt for backward Euler.
+
+    Without redistribution: its shifts are more the shorter the steps, an error of 0.1 % that does not shrink with dt.
+    """
+    run = v.time_order(scheme, e_count=400, steps_per_period=counts, reference=320, periods=1.0, redistribution=0.0)
     assert least < run["measured"] < most
 
 
@@ -62,7 +65,7 @@ def test_drum():
     assert abs(run["damping"]) < 0.02
 
 
-def explicit_run(scheme, cfl, e_count=300, count=60):
+def explicit_run(scheme, cfl, support, e_count=300, count=60):
     """Largest speed of a ringing bubble after steps of `cfl` spacings at the membrane's wave speed."""
     speed = np.sqrt(2.0 * v.CLEAN.film_tension / v.CLEAN.areal_mass)
     spacing = np.sqrt(4.0 * np.pi * 0.05**2 / e_count)
@@ -72,7 +75,7 @@ def explicit_run(scheme, cfl, e_count=300, count=60):
         v.displaced_sphere(0.05, lambda d: 0.01 * legendre(d[:, 1])),
         e_count,
         material=v.CLEAN,
-        numerics=v.Numerics(scheme=scheme),
+        numerics=v.Numerics(scheme=scheme, support=support),
     )
     simulation = v.Simulation(scene)
     v.steps(simulation, count, cfl * spacing / speed)
@@ -85,14 +88,19 @@ def test_explicit_scheme_agrees_with_the_implicit_one():
     assert explicit == pytest.approx(implicit, rel=2e-3)
 
 
-def test_explicit_scheme_has_a_limit_and_the_implicit_one_none():
-    """Symplectic Euler wants omega dt < 2. The stiffest wave of the MLS curvature has omega = 1.2 c/dx: 1.66 dx/c."""
+@pytest.mark.parametrize(("support", "stable", "unstable"), [(3.0, 1.1, 1.5), (4.0, 1.4, 2.2)])
+def test_explicit_scheme_has_a_limit_and_the_implicit_one_none(support, stable, unstable):
+    """Symplectic Euler wants omega dt < 2.
+
+    The stiffest wave of the MLS curvature has omega = 1.2 c/dx with support 4, that is dt < 1.66 dx/c, and waves that
+    are shorter by the support have dt < 1.25 dx/c with support 3.
+    """
     start = 0.01 * 0.05 * v.oscillation_frequency(2, 0.05, v.CLEAN, "none")
-    assert explicit_run("explicit", 1.4) < 3.0 * start
+    assert explicit_run("explicit", stable, support) < 3.0 * start
     with pytest.raises(SimulationError):
-        explicit_run("explicit", 2.2)
-    assert explicit_run("backward_euler", 2.2) < 3.0 * start
-    assert explicit_run("backward_euler", 50.0) < 3.0 * start
+        explicit_run("explicit", unstable, support)
+    assert explicit_run("backward_euler", unstable, support) < 3.0 * start
+    assert explicit_run("backward_euler", 50.0, support) < 3.0 * start
 
 
 def test_midpoint_scheme_keeps_a_resting_bubble_at_rest():

@@ -51,13 +51,14 @@ def test_lighter_gas_carries_the_weight():
     assert run["radius_spread"] < 1e-3
 
 
-@pytest.mark.parametrize(("l_per_e", "dt", "count"), [(0, 1e-3, 20), (8, 5e-4, 4)])
-def test_fall_with_the_mass_of_the_air(l_per_e, dt, count):
+@pytest.mark.parametrize(("e_count", "l_per_e", "dt", "count"), [(600, 0, 1e-3, 20), (1200, 8, 5e-4, 4)])
+def test_fall_with_the_mass_of_the_air(e_count, l_per_e, dt, count):
     """The surface starts to fall at g m/(m + 3/2 rho_air R): 0.4 % of g at R = 5 cm.
 
-    With L, for 2 ms: within some 50 ms the liquid comes to hang on the surface.
+    With L, for 2 ms: within some 50 ms the liquid comes to hang on the surface. These are 80 nm at 5 cm, on which the
+    rounding of 600 E leaves 0.3 %, that of 1,200 less.
     """
-    assert v.fall_in_air(l_per_e=l_per_e, dt=dt, count=count)["error"] < 0.005
+    assert v.fall_in_air(e_count, l_per_e=l_per_e, dt=dt, count=count)["error"] < 0.005
 
 
 def test_fall_with_the_liquid_hanging_on_the_film():
@@ -70,10 +71,10 @@ def test_fall_with_the_liquid_hanging_on_the_film():
 
 def test_flight_is_not_damped():
     """u = const, 10 m/s, 3.3 radii a step: momentum within 1e-4 over 100 steps, E as even as at the start."""
-    run = v.translation()
+    run, start = v.translation(), v.translation(count=1)
     assert run["error"] < 1e-4
     assert run["centre_error"] < 1e-4
-    assert run["e_spread"] < 0.05
+    assert run["e_spread"] < 1.2 * start["e_spread"]
 
 
 def test_free_bubble_keeps_its_momentum():

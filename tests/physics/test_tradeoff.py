@@ -84,8 +84,8 @@ def test_a_case_at_two_points_and_one_that_is_refused(device):
 
 def test_the_step_of_a_case_is_its_own(device):
     """A quality that leaves the step to cfl changes other things of a case with a step, and not that."""
-    paper = Quality(keys={"dt": None, "cfl": 0.5, "support": 3.0})
-    assert tradeoff.measure("rest", "", "", paper, CASES["rest"].scaled(0.4)).changes == {"support": 3.0}
+    paper = Quality(keys={"dt": None, "cfl": 0.5, "support": 4.0})
+    assert tradeoff.measure("rest", "", "", paper, CASES["rest"].scaled(0.4)).changes == {"support": 4.0}
 
 
 def frame_of(points, normals, thickness):
