@@ -57,7 +57,7 @@ def make_contact(film: Film) -> kc.Contact:
     n, dx, walls = film.numerics, film.spacing, film.walls
     contact = kc.Contact()
     for name, values in (("point", [w.point for w in walls]), ("inward", [w.normal for w in walls])):
-        array = np.array(values, dtype=np.float32).reshape(-1, 3)
+        array = np.array(values, dtype=np.float64).reshape(-1, 3)
         setattr(contact, name, wp.array(array, dtype=wp.vec3, device=film.device))
     contact.reach, contact.give, contact.range = CONTACT_REACH * dx, 0.25 * dx, n.border * dx
     contact.cling = 2.0 * film.material.film_tension
@@ -160,9 +160,9 @@ class FoamMembrane:
         volume = np.maximum(self.state.gas.numpy()[:, 0], 0.0)
         radius = np.maximum(np.cbrt(3.0 * volume / (4.0 * np.pi)), 1e-3 * film.spacing)
         # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.054 r^2
-        self.bent.assign(np.maximum(BENT, CAP * 0.054 * (film.r / radius) ** 2).astype(np.float32))
+        self.bent.assign(np.maximum(BENT, CAP * 0.054 * (film.r / radius) ** 2))
         if film.features.air:
-            self.added.assign(film_added_mass(film.surroundings.air_density, radius).astype(np.float32))
+            self.added.assign(film_added_mass(film.surroundings.air_density, radius))
         inertia = film.material.areal_mass + float(self.added.numpy().mean())
         self.contact.lag = film.spacing * math.sqrt(inertia / self.contact.cling)
         self._find_motion(self.state.motion)

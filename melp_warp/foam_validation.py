@@ -97,8 +97,9 @@ def settle(scene: Scene) -> tuple[Simulation, Measurement, dict]:
     """Run a scene; its last state as measured, and what was watched on the way.
 
     Returns:
-        The simulation, the measurement of its E, and `steps`, `volume_drift` (largest relative change of any region's
-        volume on the way, and of the volume found anew from the last surface), `mass_drift`, `surfactant_drift`.
+        The simulation, the measurement of its E, and `steps`, `seconds` (wall time of all steps at that of the usual
+        one), `volume_drift` (largest relative change of any region's volume on the way, and of the volume found anew
+        from the last surface), `mass_drift`, `surfactant_drift`.
     """
     simulation = Simulation(scene)
     start = simulation.diagnostics()
@@ -116,6 +117,7 @@ def settle(scene: Scene) -> tuple[Simulation, Measurement, dict]:
     drift = max(drift, float(np.abs(simulation.state.gas.numpy()[:, 0] / volumes - 1.0).max()))
     watched = {
         "steps": steps,
+        "seconds": steps * float(np.median(simulation.step_seconds)),
         "volume_drift": drift,
         "mass_drift": abs(seen["mass"] / start["mass"] - 1.0),
         "surfactant_drift": abs(seen["surfactant"] / start["surfactant"] - 1.0),

@@ -237,8 +237,8 @@ class RationalLaplacian(_Solver):
         weight = np.abs(g) / np.abs(p + low)
         size = abs(np.sum(g / (low + p)).real)
         for array, values in ((self.poles.p, p), (self.poles.g, g)):
-            array.assign(np.stack([values.real, values.imag], axis=1).astype(np.float32))
-        self.poles.weight.assign((weight / size).astype(np.float32))
+            array.assign(np.stack([values.real, values.imag], axis=1))
+        self.poles.weight.assign(weight / size)
 
     def _body(self):
         self._launch(k.scale_pairs, [self.area, self.pair, self.rows], [self.scaled, self.diag])

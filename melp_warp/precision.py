@@ -1,7 +1,7 @@
 """What single precision costs: stages done again in float64 NumPy at the same particles, and runs nudged by rounding.
 
-The solver computes in float32, except sums over regions and the gas (float64). No second solver is kept for this:
-each function here evaluates one stage anew from the arrays that the device holds.
+The solver computes in float32, except sums over regions and the gas (float64), or in float64 (double.py). Each function
+here evaluates one stage anew from the arrays that the device holds, in either precision, with none of its kernels.
 """
 
 from __future__ import annotations

@@ -98,11 +98,11 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int
         points = np.concatenate([points, rim.points - origin])
         normals = np.concatenate([normals, rim.normals])
         fields = (rim.anchors - origin, rim.outward, rim.mirror - origin, rim.curvature)
-        arrays = RimArrays(*(wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in fields))
+        arrays = RimArrays(*(wp.array(a, dtype=wp.vec3, device=device) for a in fields))
     short = dict.fromkeys(("drift", "mass", "surfactant"), n_e)
     state = allocate(EulerianState, short, n_e + n_b, device, count=n_e)
-    state.x.assign(points.astype(np.float32))
-    state.normal.assign(normals.astype(np.float32))
+    state.x.assign(points)
+    state.normal.assign(normals)
     state.region.assign(_regions(samples, len(points)))
     return state, arrays, n_b, spacing, origin
 
@@ -132,11 +132,11 @@ def _l_state(scene: Scene, n_e: int, spacing: float, origin: np.ndarray, device)
     order = spatial_order(samples.points, spacing)
     count = len(order)
     state = allocate(LagrangianState, {}, count, device, count=count)
-    state.x.assign((samples.points[order] - origin).astype(np.float32))
-    state.normal.assign(samples.normals[order].astype(np.float32))
+    state.x.assign(samples.points[order] - origin)
+    state.normal.assign(samples.normals[order])
     state.region.assign(_regions(samples, count)[order])
     # While areas are found, eta holds 1/area and mass holds rho: an L then claims rho/(rho eta), its area.
-    state.eta.assign((1.0 / samples.area[order]).astype(np.float32))
+    state.eta.assign(1.0 / samples.area[order])
     state.mass.fill_(scene.material.density)
     return state
 
@@ -181,7 +181,7 @@ def _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, dev
     state = State(e, lagrangian, gas, wp.zeros(regions, dtype=wp.vec3, device=device), origin)
     counts = np.bincount(e.region.numpy()[: e.count], minlength=regions)
     factor = [scene.shape.bubbles[k].tension for k in labels] if features.foam else [1.0]
-    tension = scene.material.tension * np.array(factor, dtype=np.float32)
+    tension = scene.material.tension * np.array(factor, dtype=wp.dtype_to_numpy(wp.float32))
     film = Film(
         device=device,
         features=features,
@@ -268,16 +268,16 @@ def _set_masses(scene: Scene, stepper: Stepper) -> None:
         points = state.e.x.numpy()[: film.n_e] + state.origin
         own = _own_thickness(scene, state.e.region.numpy()[: film.n_e])
         _, mass, amount = liquid(scene, points, stepper.geometry.area.numpy(), own)
-        state.e.mass.assign(mass.astype(np.float32))
-        state.e.surfactant.assign(amount.astype(np.float32))
+        state.e.mass.assign(mass)
+        state.e.surfactant.assign(amount)
         return
     _share_area(stepper)
     lag = state.l
     points, area = lag.x.numpy() + state.origin, 1.0 / lag.eta.numpy().astype(np.float64)
     eta, mass, amount = liquid(scene, points, area, _own_thickness(scene, lag.region.numpy()))
-    lag.eta.assign(eta.astype(np.float32))
-    lag.mass.assign(mass.astype(np.float32))
-    lag.surfactant.assign(amount.astype(np.float32))
+    lag.eta.assign(eta)
+    lag.mass.assign(mass)
+    lag.surfactant.assign(amount)
     stepper.transfer.gather()
 
 
@@ -339,12 +339,12 @@ def _share_area(stepper: Stepper) -> None:
 
 def _set_velocity(scene: Scene, stepper: Stepper) -> None:
     film, state = stepper.film, stepper.state
-    u = np.zeros((film.total, 3), dtype=np.float32)
+    u = np.zeros((film.total, 3))
     if scene.velocity is not None:
         points = state.e.x.numpy()[: film.n_e] + state.origin
         u[: film.n_e] = _field(scene.velocity, points, 0.0, "velocity", 3)
     for k, bubble in _bubbles(scene):
-        u[state.e.region.numpy() == k] += np.array(bubble.velocity, dtype=np.float32)
+        u[state.e.region.numpy() == k] += bubble.velocity
     state.e.u.assign(u)
     if stepper.membrane is not None:
         stepper.membrane.start_motion()

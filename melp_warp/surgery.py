@@ -153,5 +153,5 @@ def add_region(stored: Stored, label: int, particles: dict[str, dict[str, np.nda
     gas[0, GAUGE] = gauge
     stored.arrays["gas"] = np.concatenate([stored.arrays["gas"], gas])
     velocity = particles["e"]["u"][:1]
-    stored.arrays["motion"] = np.concatenate([stored.arrays["motion"], velocity.astype(np.float32)])
+    stored.arrays["motion"] = np.concatenate([stored.arrays["motion"], velocity])
     stored.labels.append(label)

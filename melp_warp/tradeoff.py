@@ -9,7 +9,9 @@ from __future__ import annotations
 import csv
 import json
 import math
-import time
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -20,6 +22,7 @@ import numpy as np
 from melp_warp import foam_validation
 from melp_warp import validation as v
 from melp_warp.cluster import Cluster
+from melp_warp.double import VARIABLE
 from melp_warp.errors import InputError, SimulationError, require
 from melp_warp.frame import ParticleFrame
 from melp_warp.numerics import Numerics
@@ -60,6 +63,7 @@ KNOBS: Mapping[str, Mapping[str, Quality]] = MappingProxyType(
             "FLIP": Quality(keys={"affinity": 0.0, "flip": 1.0}),
         },
         "redistribution": _keys({"redistribution": 0.0}, {"redistribution": 0.5}),
+        "precision": _keys({"precision": 64}),
     }
 )
 """Knob -> label -> the point; what is not said is as the case has it."""
@@ -78,6 +82,7 @@ MEANING: Mapping[str, str] = MappingProxyType(
         "l_order": "order of the L advance",
         "transfer": "transfer between E and L",
         "redistribution": "strength of the E redistribution",
+        "precision": "bits of a number",
     }
 )
 
@@ -205,13 +210,13 @@ def _pair(e_count: int, l_per_e: int, dt: None, **numerics) -> tuple[float, dict
 
 
 def _double_bubble(e_count: int, l_per_e: int, dt: None, **_) -> tuple[float, dict]:
-    frames, began = 60, time.perf_counter()
+    frames = 60
     found = foam_validation.double_bubble(e_count, frames=frames, l_per_e=l_per_e)
-    took = {"seconds": time.perf_counter() - began, "simulated": frames / 240.0, "steps": found["steps"]}
+    took = {"seconds": found["seconds"], "simulated": frames / 240.0, "steps": found["steps"]}
     return found["error"], {**took, "mass_error": 0.0, "volume_error": found["volume_drift"]}
 
 
-_FLOW = ("e", "l", "step", "support", "tolerance", "solver", "skin", "l_order", "transfer")
+_FLOW = ("e", "l", "step", "support", "tolerance", "solver", "skin", "l_order", "transfer", "precision")
 
 CASES: Mapping[str, Case] = MappingProxyType(
     {
@@ -220,14 +225,14 @@ CASES: Mapping[str, Case] = MappingProxyType(
             "gauge pressure against 4 sigma/R, relative",
             _own(1200, dt=1e-3),
             _rest,
-            ("e", "step", "support", "curvature", "scheme", "tolerance", "redistribution"),
+            ("e", "step", "support", "curvature", "scheme", "tolerance", "redistribution", "precision"),
         ),
         "oscillation": Case(
             "A bubble ringing in mode 2, 1.5 periods in steps of T/40",
             "amplitude over time against the exact cosine, rms, relative",
             _own(1200, dt=1.0 / 40.0, scheme="trapezoid"),
             _oscillation,
-            ("e", "step", "support", "curvature", "scheme", "tolerance", "skin", "redistribution"),
+            ("e", "step", "support", "curvature", "scheme", "tolerance", "skin", "redistribution", "precision"),
         ),
         "marangoni": Case(
             "A Marangoni wave, one period in steps of T/80",
@@ -262,14 +267,14 @@ CASES: Mapping[str, Case] = MappingProxyType(
             "peak vorticity lost or gained, share",
             _own(1600, 8, support=3.0),
             _pair,
-            ("support", "transfer"),
+            ("support", "transfer", "precision"),
         ),
         "double_bubble": Case(
             "Two bubbles that meet, 0.25 s; E on each",
             "largest departure of a dihedral angle from 120 degrees, degrees",
             _own(1000),
             _double_bubble,
-            ("e",),
+            ("e", "precision"),
         ),
     }
 )
@@ -277,7 +282,7 @@ CASES: Mapping[str, Case] = MappingProxyType(
 
 def _changes(quality: Quality, own: Mapping[str, Value]) -> dict[str, Value]:
     """What a point changes in a case. A case with a step of its own keeps one: by cfl its start would set it."""
-    changes = quality.apply(own)
+    changes = quality.apply({**own, "precision": 32})
     if own["dt"] is not None:
         return {key: value for key, value in changes.items() if key != "cfl" and (key, value) != ("dt", None)}
     return changes
@@ -298,11 +303,30 @@ def measure(name: str, knob: str, setting: str, quality: Quality, case: Case | N
     """
     case = case or CASES[name]
     changes = _changes(quality, case.own)
+    if "precision" in changes:
+        return replace(_in_double(name, case), knob=knob, setting=setting, changes=changes)
     try:
         error, cost = case.run(**{**case.own, **changes})
     except (SimulationError, InputError, np.linalg.LinAlgError) as problem:
         return Record(name, knob, setting, changes, stopped=str(problem))
     return _record(Record(name, knob, setting, changes), error, cost)
+
+
+def _in_double(name: str, case: Case) -> Record:
+    """The case as it is, in float64: run by a process of its own, for a process has one precision.
+
+    Raises:
+        subprocess.CalledProcessError: it broke; what it said is on the screen.
+    """
+    code = f"from melp_warp import tradeoff; tradeoff.print_record({name!r}, {dict(case.own)!r})"
+    double = {**os.environ, VARIABLE: "64"}
+    done = subprocess.run([sys.executable, "-c", code], env=double, stdout=subprocess.PIPE, text=True, check=True)
+    return Record(**json.loads(done.stdout.splitlines()[-1]))
+
+
+def print_record(name: str, own: Mapping[str, Value]) -> None:
+    """Run a case at numbers of its own and print the record as a line of JSON."""
+    print(json.dumps(asdict(measure(name, "", "as it is", STANDARD, replace(CASES[name], own=own)))))
 
 
 def _record(record: Record, error: float, cost: Mapping) -> Record:

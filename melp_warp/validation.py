@@ -106,7 +106,7 @@ def cost(simulation: Simulation) -> dict:
         held = float(np.sum(simulation.state.e.mass.numpy(), dtype=np.float64))
         result["mass_error"] = abs(held / l_array(simulation, "mass").sum() - 1.0)
     if film.features.closed:
-        volume = simulation.state.gas.numpy()[:, 0]
+        volume = simulation.state.gas.numpy()[:, 0].copy()
         simulation.stepper.lists.rebuild()
         simulation.stepper.geometry.update()
         result["volume_error"] = float(np.abs(simulation.state.gas.numpy()[:, 0] / volume - 1.0).max())

@@ -76,7 +76,7 @@ def test_a_case_at_two_points_and_one_that_is_refused(device):
     assert (own.steps, own.stopped) == (20, "")
     assert own.cost > 0.0
     assert finer.bytes > 3 * own.bytes
-    assert own.volume_error < 1e-5
+    assert 0.0 < own.volume_error < 1e-5
     refused = tradeoff.measure("rest", "e", "", Quality(e=0.2), case)
     assert "e_count" in refused.stopped
     assert math.isnan(refused.error)
@@ -192,6 +192,16 @@ def test_page_tells_what_was_found(tool):
     assert "4.0 times the cost of the front" in row[3]
     assert row[4].startswith("refused")
     assert "0.4 | 2 | 1 | - | -" in tool.overview(records)[2]
+
+
+def test_page_compares_precisions(tool):
+    """Change of the error, shares of time and memory, what is kept in each; a foam's refinement leaves them out."""
+    kept = {"mass_error": 0.0, "volume_error": 0.0}
+    own = Record("double_bubble", "", "as it is", {}, error=2.0, cost=4.0, bytes=100, **kept | {"volume_error": 1e-8})
+    double = Record("double_bubble", "precision", "64", {"precision": 64}, error=2.002, cost=5.0, bytes=150, **kept)
+    assert tool.precisions([own, double])[2] == "| `double_bubble` | 2 | 1.0e-03 | 1.25 | 1.50 | - | 1.0e-08, 0 |"
+    assert [line for line in tool.refinement([own, double]) if "double_bubble" in line] == tool.refinement([own])[2:3]
+    assert "| bits of a number | 64 | 1.00, 1.25 |" in tool.knobs([own, double])
 
 
 @pytest.mark.slow
