@@ -472,8 +472,9 @@ def unscale(x: wp.array(dtype=float), area: wp.array(dtype=float), y: wp.array(d
     y[i] = x[i] / wp.sqrt(area[i])
 
 
-VECTORS = {}
-"""Kernels for vectors of unknowns, by that for scalars: a graph on the CPU tells kernels apart by their names alone."""
+SCALARS, VECTORS = {}, {}
+"""Kernels for either kind of unknowns, by the one for any. Those for vectors have names of their own: a graph on the
+CPU tells kernels apart by their names alone."""
 
 # The unknowns that the solver is used with: declared here, the module is compiled once, and can be ahead of time.
 for _kernel, _names in (
@@ -485,9 +486,9 @@ for _kernel, _names in (
     (advance_direction, ("z", "p")),
     (sweep_jacobi, ("x", "b", "r", "z", "next_x")),
 ):
-    VECTORS[_kernel] = wp.Kernel(_kernel.func, key=f"{_kernel.key}_vec3")
-    for _typed, _dtype in ((_kernel, wp.float32), (VECTORS[_kernel], wp.vec3)):
-        wp.overload(_typed, {_name: wp.array(dtype=_dtype) for _name in _names})
+    _any = wp.Kernel(_kernel.func, key=f"{_kernel.key}_vec3")
+    SCALARS[_kernel] = wp.overload(_kernel, {_name: wp.array(dtype=wp.float32) for _name in _names})
+    VECTORS[_kernel] = wp.overload(_any, {_name: wp.array(dtype=wp.vec3) for _name in _names})
 
 
 @wp.kernel

@@ -43,7 +43,7 @@ class _Solver:
 
     def __init__(self, n: int, tolerance: float, max_iterations: int, device, stride: int = 1, dtype=wp.float32):
         self.n = n
-        self._typed = k.VECTORS if dtype is wp.vec3 else {}
+        self._typed = k.VECTORS if dtype is wp.vec3 else k.SCALARS
         self.device = device
         self.stride = stride  # iterations between two looks at the residual
         self.scalar = wp.zeros(8, dtype=wp.float32, device=device)
