@@ -148,6 +148,11 @@ def compile_kernels(names: Iterable[str], device) -> None:
     wp.force_load(device, modules, max_workers=THREADS)
 
 
+def sort_pairs(key: wp.array, value: wp.array, count: int) -> None:
+    """Sort the first `count` of 2 `count` keys (int32) and their values, which may allocate: no graph can hold it."""
+    wp.utils.radix_sort_pairs(key, value, count)
+
+
 def repeat(go: wp.array, body: Callable[[], None], most: int) -> None:
     """Launch a sequence again and again while `go[0]` is not 0, without the host looking where it is captured.
 

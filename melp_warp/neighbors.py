@@ -11,7 +11,7 @@ from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import homes as kh
 from melp_warp.kernels import neighbors as kn
 from melp_warp.kernels.rows import Blocks
-from melp_warp.launch import launch
+from melp_warp.launch import launch, sort_pairs
 from melp_warp.settings import Reading
 from melp_warp.state import State
 
@@ -165,7 +165,7 @@ class BlockList:
         film, le = self.film, self._le
         x_e, lag = self.state.e.x, self.state.l
         launch(kh.key_l, film.n_l, [lag.x, x_e, le.home, le.margin, film.n_e], [self._key, self._order], film.device)
-        wp.utils.radix_sort_pairs(self._key, self._order, film.n_l)
+        sort_pairs(self._key, self._order, film.n_l)
         outputs = [self.blocks.start, self.place, self.blocks.region]
         launch(kh.start_blocks_l, film.n_l, [self._key, self._order, lag.region, film.n_l], outputs, film.device)
         skin = film.numerics.skin * film.spacing
