@@ -37,6 +37,33 @@ def mean_normal(i: int, x: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.ve
     return wp.normalize(total)
 
 
+@wp.func
+def least_axis(cov: wp.mat33, start: wp.vec3) -> wp.vec3:
+    """Axis of the least eigenvalue of a covariance, on the side of `start`; 0 where it is at right angles to that.
+
+    The adjugate has the products of the other two eigenvalues, of which that axis has the largest: eight applications
+    to `start` leave (least/next)^8 of the other axes.
+    """
+    a = wp.vec3(cov[0, 0], cov[0, 1], cov[0, 2])
+    b = wp.vec3(cov[1, 0], cov[1, 1], cov[1, 2])
+    c = wp.vec3(cov[2, 0], cov[2, 1], cov[2, 2])
+    power = wp.matrix_from_rows(wp.cross(b, c), wp.cross(c, a), wp.cross(a, b))
+    for _ in range(3):
+        power = power / wp.max(wp.trace(power), 1.0e-30)
+        power = power * power
+    return wp.normalize(power * start)
+
+
+@wp.func
+def flatness(cov: wp.mat33, n: wp.vec3) -> float:
+    """Least eigenvalue of a covariance, whose axis is n, over the middle one."""
+    least = wp.dot(n, cov * n)
+    others = wp.trace(cov) - least
+    minors = 0.5 * (wp.trace(cov) * wp.trace(cov) - wp.trace(cov * cov))
+    product = minors - least * others
+    return least / (0.5 * others - wp.sqrt(wp.max(0.25 * others * others - product, 0.0)))
+
+
 @wp.kernel
 def orient_frames_e(
     x: wp.array(dtype=wp.vec3),
@@ -67,26 +94,15 @@ def orient_frames_e(
     square = square / total - wp.cw_mul(mean, mean)
     mixed = mixed / total - wp.vec3(mean[1] * mean[2], mean[2] * mean[0], mean[0] * mean[1])
     cov = wp.mat33(square[0], mixed[2], mixed[1], mixed[2], square[1], mixed[0], mixed[1], mixed[0], square[2])
-    vectors, values = wp.eig3(cov)
-    least = int(0)
-    for c in range(1, 3):
-        if values[c] < values[least]:
-            least = c
-    n = wp.vec3(vectors[0, least], vectors[1, least], vectors[2, least])
     old = normal[i]
-    if wp.length_sq(n) > 0.25:
-        n = wp.normalize(n)
-        if wp.dot(n, old) < 0.0:
-            n = -n
-        if before:
-            most = wp.max(values[0], wp.max(values[1], values[2]))
-            middle = values[0] + values[1] + values[2] - most - values[least]
-            round = (values[least] / middle - PLANE) / (BALL - PLANE)
-            if round > 0.0:
-                n = wp.normalize(wp.lerp(n, mean_normal(i, x, before, rows, r), wp.min(round, 1.0)))
-        # A cloud without a plane (clumped or collinear particles) gives no trustworthy PCA: keep the old normal.
-        if wp.dot(n, old) > 0.5:
-            normal[i] = n
+    n = least_axis(cov, old)
+    if before:
+        round = (flatness(cov, n) - PLANE) / (BALL - PLANE)
+        if round > 0.0:
+            n = wp.normalize(wp.lerp(n, mean_normal(i, x, before, rows, r), wp.min(round, 1.0)))
+    # A cloud without a plane (clumped or collinear particles) gives no trustworthy PCA: keep the old normal.
+    if wp.dot(n, old) > 0.5:
+        normal[i] = n
 
 
 @wp.func
