@@ -119,7 +119,7 @@ def shift_e(
         d = x[i] - x[j]
         far = wp.length(d)
         if far < CLOSE * spacing and far > 0.0 and wp.dot(n, normal[j]) > 0.0:
-            shift += strength * APART * (CLOSE * spacing / far - 1.0) * tangential(d, n)
+            shift += spread[region[i]][2] * strength * APART * (CLOSE * spacing / far - 1.0) * tangential(d, n)
     size = wp.length(shift)
     most = limit * wp.clamp(spread[region[i]][0], 1.0, 4.0)
     if size > most:
