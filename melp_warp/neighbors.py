@@ -349,7 +349,7 @@ class NeighborLists:
             LeapError: nobody watched, and a list was used when pairs could be missing; or more L than `STRAYS` had no E
                 within the support.
         """
-        for name in ("ee", "eo", "le", "be"):
+        for name in ("ee", "eo", "wide", "le", "be"):
             one = getattr(self, name)
             if one is not None:
                 one.check(name.upper())
