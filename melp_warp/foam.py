@@ -37,7 +37,7 @@ CONTACT_ROOM = 70
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.02, 2.5
+BENT, CAP = 0.01, 2.5
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
 PATIENCE = 1.0

@@ -122,7 +122,7 @@ def doubles(page: Page, full: bool) -> list[dict]:
 def ratios(page: Page, full: bool) -> None:
     """Bubbles of different sizes."""
     for ratio in (0.4, 0.5, 0.6, 0.7, 0.8, 0.9) if full else (0.6,):
-        r = v.double_bubble(6000 if full else 2000, ratio=ratio)
+        r = v.double_bubble(10000 if full else 2000, ratio=ratio)
         page.add(
             f"partition curvature, R2 = {ratio} R1",
             "1/R2 - 1/R1 of the settled caps",
