@@ -74,9 +74,9 @@ NOTES = """\
 * **Redistribution** doubles the error of a ringing bubble, which is small and would do without it.
 * **`draft` is on every front, `standard` on most:** without `flip` it is off that of the vortex. **`fine`** refines
   spacing and step and is on the front of all that flows: waves, a film that evens out, vortices. It is off three fronts
-  that refinement does not reach. Of the bubble that rests, as SPH happens to be exact on an even sphere. Of the one that
-  rings, as its errors of the spacing and of T/40 cancel at 1,200 E to a third of either. Of drainage, whose error no
-  longer falls from 200 E on. **`paper`** is off the front by support, SPH and Jacobi, and is there for comparison.
+  that refinement does not reach. Of the bubble that rests, as SPH happens to be exact on an even sphere. Of the one
+  that rings, as its errors of the spacing and of T/40 cancel at 1,200 E to a third of either. Of drainage, whose error
+  no longer falls from 200 E on. **`paper`** is off the front by support, SPH and Jacobi, and is there for comparison.
 
 """
 
