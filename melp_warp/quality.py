@@ -81,9 +81,7 @@ QUALITIES: Mapping[str, Quality] = MappingProxyType(
     {
         "draft": Quality("a look at the motion", e=0.4, l=0.5, step=2.0, keys={"flip": 0.95}),
         "standard": Quality("the scene's own numbers"),
-        "fine": Quality(
-            "for the final frames: twice the E, as many L in all", e=2.0, l=0.5, step=0.5, keys={"flip": 0.95}
-        ),
+        "fine": Quality("for the final frames", e=2.0, step=0.5, keys={"flip": 0.95}),
         "paper": Quality(
             "the settings of MELP 2022 at the scene's number of E",
             keys={

@@ -54,7 +54,7 @@ NOTES = """\
   the step is what buys accuracy, and there is no end to it in the range tried. The midpoint rule for the normal motion
   needs no more than T/40; backward Euler leaves a ringing bubble a third off at that step.
 * **E** buy accuracy wherever the surface moves or turns, to second order for the pressure.
-* **L per E buy picture, not accuracy:** from two on the errors are the same to a few per cent. The cases have four,
+* **L per E buy picture, not accuracy:** from four on the errors are the same to a few per cent. The cases have four,
   scenes sixteen for the picture.
 * **Support 3 is as accurate as 4, the paper's, or better in all cases, and cheaper:** so it is the default. Where E lie
   unevenly its sums are noisier: 1.3 % in eta_E in place of 0.6 % where E are moved by up to 0.15 spacings, and the
@@ -76,11 +76,10 @@ NOTES = """\
   It buys sums to the last digit: liquid and surfactant to 1e-15 instead of 1e-7, the volume of a bubble at rest to
   1e-11 instead of 1e-8. Take it to tell rounding from the scheme, not for a better picture.
 * **`draft` is on every front, `standard` on most:** without `flip` it is off that of the vortex. **`fine`** refines
-  spacing and step, for as many L in all as `standard` has, and is on the front of all that flows: waves, a film that
-  evens out, vortices. It is off three fronts that refinement does not reach. Of the bubble that rests, as SPH happens
-  to be exact on an even sphere. Of the one that rings, as its errors of the spacing and of T/40 cancel at 1,200 E to a
-  third of either. Of drainage, whose error no longer falls from 200 E on. **`paper`** is off the front by support, SPH
-  and Jacobi, and is there for comparison.
+  spacing and step and is on the front of all that flows: waves, a film that evens out, vortices. It is off three fronts
+  that refinement does not reach. Of the bubble that rests, as SPH happens to be exact on an even sphere. Of the one
+  that rings, as its errors of the spacing and of T/40 cancel at 1,200 E to a third of either. Of drainage, whose error
+  no longer falls from 200 E on. **`paper`** is off the front by support, SPH and Jacobi, and is there for comparison.
 
 """
 
