@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import height_over_fits, weigh_row
+from melp_warp.kernels.rows import height_over_fits, sum_vectors
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -12,26 +12,20 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def smooth_drift_e(
-    x: wp.array(dtype=wp.vec3),
     drift: wp.array(dtype=wp.vec3),
+    density: wp.array(dtype=float),
+    near: wp.array(dtype=float),
     rows: Neighbors,
     r: float,
     n_e: int,
     strength: float,
     # outputs
-    near: wp.array(dtype=float),
     smoothed: wp.array(dtype=wp.vec3),
 ):
-    """XSPH smoothing of the tangential E velocity (section 4.8). [n_e], m/s. `near`: [pairs] room for W."""
+    """XSPH smoothing of the tangential E velocity (section 4.8), with the weights of (9). [n_e], m/s."""
     i = rows.first + wp.tid()
-    centre = kernel_w(0.0, r)
-    total = centre + weigh_row(i, x[i], x, rows, r, x.shape[0], near)[3]
-    mean = centre * drift[i]
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        if j < n_e:
-            mean += near[k] * drift[j]
-    smoothed[i] = (1.0 - strength) * drift[i] + strength * mean / total
+    mean = (kernel_w(0.0, r) * drift[i] + sum_vectors(i, near, drift, rows, n_e)) / density[i]
+    smoothed[i] = (1.0 - strength) * drift[i] + strength * mean
 
 
 @wp.kernel

@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import cut_cell
+from melp_warp.kernels.rows import cut_cell, sum_quotients
 from melp_warp.kernels.sph import kernel_w, tangent_basis
 
 wp.set_module_options({"enable_backward": False})
@@ -84,9 +84,5 @@ def control_area_e(
     taken over the Voronoi cells and sums to their area. `near` is W of each pair, from `geometry.density_e`.
     """
     i = rows.first + wp.tid()
-    total = kernel_w(0.0, r) * cell[i] / density_inner[i]
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        if j < n_e:
-            total += near[k] * cell[j] / density_inner[j]
-    area[i] = total
+    own = kernel_w(0.0, r) * cell[i] / density_inner[i]
+    area[i] = own + sum_quotients(i, near, cell, density_inner, rows, n_e)

@@ -6,7 +6,8 @@ from melp_warp.kernels.contact import Contact
 from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_total
-from melp_warp.kernels.sph import kernel_w, tangential
+from melp_warp.kernels.rows import sum_vectors, weigh_row
+from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
 
@@ -294,6 +295,7 @@ def recall_e(
     leash: float,
     contact: Contact,
     # outputs
+    near: wp.array(dtype=float),
     kept: wp.array(dtype=wp.vec3),
     slowed: wp.array(dtype=wp.vec3),
     turned: wp.array(dtype=wp.vec3),
@@ -311,6 +313,7 @@ def recall_e(
         reach: m.
         leash: m.
         contact: constants.
+        near: [pairs] W of each pair, 1/m^2.
         kept: [n_e] m.
         slowed: [n_e] m/s.
         turned: [n_e] unit normals.
@@ -319,26 +322,18 @@ def recall_e(
     p = x[i]
     v = u[i]
     n = normal[i]
-    total = float(0.0)
-    mean = wp.vec3()
-    flow = wp.vec3()
-    facing = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        w = kernel_w(wp.length(x[j] - p), reach)
-        total += w
-        mean += w * x[j]
-        flow += w * u[j]
-        facing += w * normal[j]
+    s = weigh_row(i, p, x, rows, reach, x.shape[0], near)
+    total = s[3]
     if total > 0.0:
-        away = p - mean / total
+        facing = sum_vectors(i, near, normal, rows, x.shape[0])
+        away = -wp.vec3(s[0], s[1], s[2]) / total
         far = wp.length(away)
         reversed = wp.dot(facing, n) < 0.0
         if reversed:
             n = wp.normalize(facing)
         if far > leash or reversed:
             p -= (1.0 - wp.min(leash / far, 0.5)) * away
-            v = flow / total
+            v = sum_vectors(i, near, u, rows, x.shape[0]) / total
     for w in range(contact.point.shape[0]):
         inward = contact.inward[w]
         height = wp.dot(p - contact.point[w], inward)

@@ -2,18 +2,20 @@
 
 import warp as wp
 
-from melp_warp.kernels.mls import (
-    Quadric,
-    cholesky_solve,
-    fit_height,
-    fitted_curvature,
-    make_quadric,
-    mat55,
-    slope_normal,
-    vec5,
-)
+from melp_warp.kernels.mls import fit_height, fitted_curvature, make_quadric, slope_normal
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import cloud_moments, mat53, weigh_row, weigh_row_laplacian, write_row_gradient
+from melp_warp.kernels.rows import (
+    Quadric,
+    cloud_moments,
+    gradient_row,
+    mat53,
+    mat55,
+    solve_fit,
+    vec5,
+    weigh_row,
+    weigh_row_laplacian,
+    write_row_gradient,
+)
 from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangent_basis
 
 wp.set_module_options({"enable_backward": False})
@@ -113,7 +115,7 @@ def write_gradient(
     rows: Neighbors,
     r: float,
     limit: int,
-    low: mat55,
+    factor: mat55,
     c: vec5,
     gradient: wp.array(dtype=wp.vec3),
 ):
@@ -128,8 +130,8 @@ def write_gradient(
     det = g11 * g22 - g12 * g12
     up1 = (g22 * t1 - g12 * t2) / det
     up2 = (g11 * t2 - g12 * t1) / det
-    y1 = cholesky_solve(low, vec5(1.0, 0.0, 0.0, 0.0, 0.0))
-    y2 = cholesky_solve(low, vec5(0.0, 1.0, 0.0, 0.0, 0.0))
+    y1 = solve_fit(factor, vec5(1.0, 0.0, 0.0, 0.0, 0.0))
+    y2 = solve_fit(factor, vec5(0.0, 1.0, 0.0, 0.0, 0.0))
     turn = mat53()
     for m in range(5):
         turn[m] = y1[m] * up1 + y2[m] * up2
@@ -160,11 +162,11 @@ def fit_surface_e(
     """
     i = rows.first + wp.tid()
     n = normal[i]
-    low, c = fit_height(i, x, n, rows, r, x.shape[0])
+    factor, c = fit_height(i, x, n, rows, r, x.shape[0])
     surface[i] = make_quadric(c, n, r / 3.0)
     normal[i] = slope_normal(c, n)
     kappa[i] = fitted_curvature(c, r / 3.0)
-    write_gradient(i, x, n, rows, r, x.shape[0], low, c, gradient)
+    write_gradient(i, x, n, rows, r, x.shape[0], factor, c, gradient)
 
 
 @wp.kernel
@@ -191,13 +193,8 @@ def sharpen_normal_e(
         normal: [n_e] unit normals.
     """
     i = rows.first + wp.tid()
-    slope = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        if j < n_e:
-            slope += (kappa[j] - kappa[i]) * gradient[k]
     h = r / 3.0
-    cubic = 0.2254 * h * h * slope
+    cubic = 0.2254 * h * h * gradient_row(i, kappa, rows, gradient, n_e)
     size = wp.length(cubic)
     if size > STEEPEST:
         cubic *= STEEPEST / size
@@ -226,8 +223,8 @@ def fit_inner_gradient_e(
     """
     i = rows.first + wp.tid()
     n = surface[i].normal
-    low, c = fit_height(i, x, n, rows, r, n_e)
-    write_gradient(i, x, n, rows, r, n_e, low, c, gradient)
+    factor, c = fit_height(i, x, n, rows, r, n_e)
+    write_gradient(i, x, n, rows, r, n_e, factor, c, gradient)
 
 
 @wp.kernel
@@ -241,7 +238,7 @@ def curvature_mls_e(
 ):
     """Sum of principal curvatures by a quadratic fit, full formula of (10). [n_e], 1/m."""
     i = rows.first + wp.tid()
-    _low, c = fit_height(i, x, normal[i], rows, r, x.shape[0])
+    _factor, c = fit_height(i, x, normal[i], rows, r, x.shape[0])
     kappa[i] = fitted_curvature(c, r / 3.0)
 
 

@@ -10,7 +10,7 @@ import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_total
-from melp_warp.kernels.rows import sum_differences, sum_products
+from melp_warp.kernels.rows import advance_entries, sum_differences, sum_products, sum_row, turn_entries
 
 wp.set_module_options({"enable_backward": False})
 
@@ -71,6 +71,55 @@ def differences(i: int, x: wp.array(dtype=wp.vec3), pair: wp.array(dtype=float),
 
 
 @wp.func
+def step(
+    begin: int,
+    end: int,
+    alpha: float,
+    p: wp.array(dtype=float),
+    q: wp.array(dtype=float),
+    inverse: wp.array(dtype=float),
+    x: wp.array(dtype=float),
+    r: wp.array(dtype=float),
+    z: wp.array(dtype=float),
+):
+    """x += alpha p, r -= alpha q, z = inverse r for entries `begin` to `end`."""
+    advance_entries(begin, end, alpha, p, q, inverse, x, r, z)
+
+
+@wp.func
+def step(  # noqa: F811
+    begin: int,
+    end: int,
+    alpha: float,
+    p: wp.array(dtype=wp.vec3),
+    q: wp.array(dtype=wp.vec3),
+    inverse: wp.array(dtype=float),
+    x: wp.array(dtype=wp.vec3),
+    r: wp.array(dtype=wp.vec3),
+    z: wp.array(dtype=wp.vec3),
+):
+    """The same for vectors."""
+    for k in range(begin, end):
+        x[k] = x[k] + alpha * p[k]
+        left = r[k] - alpha * q[k]
+        r[k] = left
+        z[k] = inverse[k] * left
+
+
+@wp.func
+def turn(begin: int, end: int, beta: float, z: wp.array(dtype=float), p: wp.array(dtype=float)):
+    """p = z + beta p for entries `begin` to `end`."""
+    turn_entries(begin, end, beta, z, p)
+
+
+@wp.func
+def turn(begin: int, end: int, beta: float, z: wp.array(dtype=wp.vec3), p: wp.array(dtype=wp.vec3)):  # noqa: F811
+    """The same for vectors."""
+    for k in range(begin, end):
+        p[k] = z[k] + beta * p[k]
+
+
+@wp.func
 def apply_row(
     i: int,
     x: wp.array(dtype=Any),
@@ -94,10 +143,7 @@ def invert_diagonal(
 ):
     """1/A_ii, the Jacobi preconditioner. [n]."""
     i = rows.first + wp.tid()
-    total = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        total += pair[k]
-    a = diag[i] + scale[0] * total
+    a = diag[i] + scale[0] * sum_row(i, pair, rows)
     inverse[i] = wp.where(a > 0.0, 1.0 / a, 0.0)
 
 
@@ -228,25 +274,22 @@ def advance_solution(
     p: wp.array(dtype=Any),
     q: wp.array(dtype=Any),
     inverse: wp.array(dtype=float),
+    size: int,
     # outputs
     x: wp.array(dtype=Any),
     r: wp.array(dtype=Any),
     z: wp.array(dtype=Any),
 ):
-    """x += alpha p, r -= alpha A p, z = r/A_ii."""
-    i = wp.tid()
-    alpha = scalar[ALPHA]
-    x[i] = x[i] + alpha * p[i]
-    ri = r[i] - alpha * q[i]
-    r[i] = ri
-    z[i] = inverse[i] * ri
+    """x += alpha p, r -= alpha A p, z = r/A_ii for `size` entries."""
+    begin = size * wp.tid()
+    step(begin, wp.min(r.shape[0], begin + size), scalar[ALPHA], p, q, inverse, x, r, z)
 
 
 @wp.kernel
-def advance_direction(scalar: wp.array(dtype=float), z: wp.array(dtype=Any), p: wp.array(dtype=Any)):
-    """p = z + beta p."""
-    i = wp.tid()
-    p[i] = z[i] + scalar[BETA] * p[i]
+def advance_direction(scalar: wp.array(dtype=float), z: wp.array(dtype=Any), size: int, p: wp.array(dtype=Any)):
+    """p = z + beta p for `size` entries."""
+    begin = size * wp.tid()
+    turn(begin, wp.min(z.shape[0], begin + size), scalar[BETA], z, p)
 
 
 @wp.kernel

@@ -6,6 +6,7 @@ from melp_warp.kernels.contact import MENISCUS, Contact
 from melp_warp.kernels.motion import whole_velocity
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_parts, region_total
+from melp_warp.kernels.rows import sum_vectors
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -16,7 +17,6 @@ ROUND = wp.constant(1.0e-3)
 
 @wp.kernel
 def seek_normals_e(
-    x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     vector: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
@@ -24,6 +24,7 @@ def seek_normals_e(
     rest: wp.array(dtype=wp.vec3),
     cover: wp.array(dtype=float),
     star: Neighbors,
+    near: wp.array(dtype=float),
     rows: Neighbors,
     reach: float,
     bent: wp.array(dtype=float),
@@ -40,7 +41,6 @@ def seek_normals_e(
     themselves answer to it.
 
     Args:
-        x: [n] m.
         normal: [n] unit normals.
         vector: [n_e] gradient of the volume, m^2.
         region: [n] region of each E.
@@ -48,15 +48,15 @@ def seek_normals_e(
         rest: [n_e] tension and contact of sheets at rest, N.
         cover: [n_e]; far from what is covered nothing is passed on.
         star: neighbours across the cell's edges.
+        near: [pairs] W of each pair, 1/m^2.
         rows: E:E neighbours.
-        reach: m.
+        reach: of W, m.
         bent: [regions] mean square turn of the normals from which they take up force.
         share: [1] how far l comes towards what it should be in this step, 0 to 1.
         sought: [n_e] l over the sum of weights, N m^2; in and out.
     """
     i = rows.first + wp.tid()
     n = normal[i]
-    p = x[i]
     along = tangential(rest[i] + ahead[region[i]] * vector[i], n)
     held = cover[i]
     for k in range(star.start[i], star.stop[i]):
@@ -68,7 +68,7 @@ def seek_normals_e(
     spread = total * wp.outer(n, n)
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
-        w = kernel_w(wp.length(x[j] - p), reach)
+        w = near[k]
         total += w
         spread += w * wp.outer(normal[j], normal[j])
     least = bent[region[i]]
@@ -83,7 +83,6 @@ def seek_normals_e(
 
 @wp.kernel
 def gather_load_e(
-    x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     vector: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
@@ -91,6 +90,7 @@ def gather_load_e(
     force: wp.array(dtype=wp.vec3),
     foot: wp.array(dtype=wp.vec3),
     sought: wp.array(dtype=wp.vec3),
+    near: wp.array(dtype=float),
     rows: Neighbors,
     reach: float,
     most: float,
@@ -100,7 +100,6 @@ def gather_load_e(
     """Force of the film and the gas along each E's normal, with what its neighbours pass on.
 
     Args:
-        x: [n] m.
         normal: [n] unit normals.
         vector: [n_e] gradient of the volume, m^2.
         region: [n] region of each E.
@@ -108,17 +107,14 @@ def gather_load_e(
         force: [n_e] tension and contact, N.
         foot: [n_e] menisci's force along their walls, N: none in all, so that of a region is no part of `force`.
         sought: [n_e] from `seek_normals_e`.
+        near: [pairs] W of each pair, 1/m^2.
         rows: E:E neighbours.
-        reach: m.
+        reach: of W, m.
         most: most that an E takes from its neighbours, N.
         load: [n_e] N.
     """
     i = rows.first + wp.tid()
-    p = x[i]
-    found = kernel_w(0.0, reach) * sought[i]
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        found += kernel_w(wp.length(x[j] - p), reach) * sought[j]
+    found = kernel_w(0.0, reach) * sought[i] + sum_vectors(i, near, sought, rows, sought.shape[0])
     n = normal[i]
     passed = wp.clamp(wp.dot(found, n), -most, most)
     load[i] = wp.dot(force[i] + foot[i] + ahead[region[i]] * vector[i], n) + passed

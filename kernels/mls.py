@@ -1,11 +1,9 @@
 """Moving least squares: quadratic fits of the surface over a tangent plane."""
 
-from typing import Any
-
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import Quadric, fit_moments
+from melp_warp.kernels.rows import Quadric, factor_fit, fit_moments, solve_fit, vec5
 from melp_warp.kernels.sph import tangent_basis
 
 wp.set_module_options({"enable_backward": False})
@@ -13,51 +11,11 @@ wp.set_module_options({"enable_backward": False})
 STEEPEST = wp.constant(4.0)
 """Largest curvature that a fit may give, in 1/h = 3/r: clumped or collinear particles make it up."""
 
-vec5 = wp.types.vector(length=5, dtype=wp.float32)
-mat55 = wp.types.matrix(shape=(5, 5), dtype=wp.float32)
-
 
 @wp.func
 def quadratic_basis(u: float, v: float) -> vec5:
     """(u, v, u^2, uv, v^2)."""
     return vec5(u, v, u * u, u * v, v * v)
-
-
-@wp.func
-def cholesky(a: mat55) -> mat55:
-    """Lower Cholesky factor of a symmetric positive matrix, its diagonal slightly raised."""
-    low = mat55()
-    ridge = 1.0e-6 * (a[0, 0] + a[1, 1] + a[2, 2] + a[3, 3] + a[4, 4]) + 1.0e-30
-    for i in range(5):
-        for j in range(i + 1):
-            s = a[i, j]
-            if i == j:
-                s += ridge
-            for k in range(j):
-                s -= low[i, k] * low[j, k]
-            if i == j:
-                low[i, i] = wp.sqrt(wp.max(s, 1.0e-30))
-            else:
-                low[i, j] = s / low[j, j]
-    return low
-
-
-@wp.func
-def cholesky_solve(low: mat55, b: vec5) -> vec5:
-    """Solve L L^T y = b."""
-    y = vec5()
-    for i in range(5):
-        s = b[i]
-        for k in range(i):
-            s -= low[i, k] * y[k]
-        y[i] = s / low[i, i]
-    for m in range(5):
-        i = 4 - m
-        s = y[i]
-        for k in range(i + 1, 5):
-            s -= low[k, i] * y[k]
-        y[i] = s / low[i, i]
-    return y
 
 
 @wp.func
@@ -75,20 +33,12 @@ def fit_height(
     Only neighbours below index `limit` take part.
 
     Returns:
-        The Cholesky factor of the normal matrix and the coefficients c.
+        The factors of the normal matrix and the coefficients c.
     """
-    # The normal matrix holds only the moments of w up to the fourth order.
     e1, e2 = tangent_basis(n)
     m = fit_moments(i, x, e1, e2, n, rows, r, limit)
-    a = mat55(
-        m[0], m[1], m[3], m[4], m[5],
-        m[1], m[2], m[4], m[5], m[6],
-        m[3], m[4], m[7], m[8], m[9],
-        m[4], m[5], m[8], m[9], m[10],
-        m[5], m[6], m[9], m[10], m[11],
-    )  # fmt: skip
-    low = cholesky(a)
-    return low, cholesky_solve(low, vec5(m[12], m[13], m[14], m[15], m[16]))
+    factor = factor_fit(m)
+    return factor, solve_fit(factor, vec5(m[12], m[13], m[14], m[15], m[16]))
 
 
 @wp.func
@@ -127,13 +77,3 @@ def make_quadric(c: vec5, n: wp.vec3, h: float) -> Quadric:
 def height_above(q: Quadric, d: wp.vec3) -> float:
     """Height along the plane's normal of the point at d above the surface, m."""
     return wp.dot(d, q.gradient - q.second * d)
-
-
-@wp.func
-def gradient_at(i: int, f: wp.array(dtype=Any), rows: Neighbors, gradient: wp.array(dtype=wp.vec3)) -> wp.vec3:
-    """Surface gradient sum_j (f_j - f_i) g_ij of a scalar field."""
-    total = wp.vec3()
-    fi = f[i]
-    for k in range(rows.start[i], rows.stop[i]):
-        total += (f[rows.index[k]] - fi) * gradient[k]
-    return total

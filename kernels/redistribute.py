@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from melp_warp.kernels.mls import Quadric, gradient_at
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_parts
+from melp_warp.kernels.rows import Quadric, away_from_near, change_along, gradient_row
 from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -113,22 +113,14 @@ def shift_e(
     """
     i = rows.first + wp.tid()
     n = normal[i]
-    shift = -strength * tangential(gradient_at(i, pressure, rows, gradient), n)
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        d = x[i] - x[j]
-        far = wp.length(d)
-        if far < CLOSE * spacing and far > 0.0 and wp.dot(n, normal[j]) > 0.0:
-            shift += spread[region[i]][2] * strength * APART * (CLOSE * spacing / far - 1.0) * tangential(d, n)
+    shift = wp.vec3()
+    if spread[region[i]][2] > 0.0:
+        shift = -strength * tangential(gradient_row(i, pressure, rows, gradient, pressure.shape[0]), n)
+        shift += strength * APART * tangential(away_from_near(i, x, normal, rows, CLOSE * spacing), n)
     size = wp.length(shift)
     most = limit * wp.clamp(spread[region[i]][0], 1.0, 4.0)
     if size > most:
         shift = shift * (most / size)
     x_new[i] = x[i] + shift + wp.dot(shift, surface[i].second * shift) * n
-    moved = shift + dt[0] * drift[i]
-    ui = u[i]
-    change = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        change += wp.dot(gradient[k], moved) * (u[rows.index[k]] - ui)
-    u_new[i] = ui + change
+    u_new[i] = u[i] + change_along(i, shift + dt[0] * drift[i], u, rows, gradient)
     drift_new[i] = drift[i] + shift / dt[0]

@@ -58,7 +58,7 @@ def near_chunks(
         first: [regions + 1] first E of each region.
         near: [parts, regions].
     """
-    c = wp.tid()
+    c = facing.first + wp.tid()
     for h in range(near.shape[1]):
         near[c, h] = 0
     start, stop = part_range(c, first, near.shape[0])

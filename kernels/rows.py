@@ -10,11 +10,13 @@ from melp_warp.kernels.neighbors import Neighbors
 
 wp.set_module_options({"enable_backward": False})
 
+vec5 = wp.types.vector(length=5, dtype=wp.float32)
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
 vec10 = wp.types.vector(length=10, dtype=wp.float32)
 vec17 = wp.types.vector(length=17, dtype=wp.float32)
 vec12 = wp.types.vector(length=12, dtype=wp.float32)
 mat53 = wp.types.matrix(shape=(5, 3), dtype=wp.float32)
+mat55 = wp.types.matrix(shape=(5, 5), dtype=wp.float32)
 mat58 = wp.types.matrix(shape=(5, 8), dtype=wp.float32)
 
 CORNERS = 16
@@ -58,6 +60,15 @@ LANES = """
 """
 """Before a loop over components, eight at once."""
 
+LOWEST = """
+#if defined(__CUDA_ARCH__)
+#define LOWEST(bits) (__ffs(bits) - 1)
+#else
+#define LOWEST(bits) __builtin_ctz(bits)
+#endif
+"""
+"""LOWEST(bits): place of the lowest bit that is set."""
+
 ROW = """
     const int* index = rows.index.data;
     const int first = rows.start.data[i], last = rows.stop.data[i];
@@ -87,6 +98,9 @@ WEIGHT = f"""{VALUE}
 OVER = LOOP.replace("int k = first; k < last; ++k", "int m = 0; m < count; ++m")
 """The same loop over `count` points."""
 
+RANGE = LOOP.replace("int k = first", "int k = begin").replace("k < last", "k < end")
+"""The same loop over entries of arrays."""
+
 
 @wp.func_native(f"""{ROW}
     const float* pairs = pair.data;
@@ -100,6 +114,112 @@ OVER = LOOP.replace("int k = first; k < last; ++k", "int m = 0; m < count; ++m")
 """)
 def sum_differences(i: int, x: wp.array(dtype=float), pair: wp.array(dtype=float), rows: Neighbors) -> float:
     """sum_j pair_ij (x_i - x_j)."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* pairs = pair.data;
+    float total = 0.0f;
+    {{{LOOP}
+        total += pairs[k];
+    }}
+    return total;
+""")
+def sum_row(i: int, pair: wp.array(dtype=float), rows: Neighbors) -> float:
+    """sum_j pair_ij."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* pairs = pair.data;
+    const float* tops = top.data;
+    const float* bottoms = bottom.data;
+    float total = 0.0f;
+    {{{LOOP}
+    {{
+        const int j = index[k] < limit ? index[k] : i;
+        total += index[k] < limit ? pairs[k] * tops[j] / bottoms[j] : 0.0f;
+    }}
+    }}
+    return total;
+""")
+def sum_quotients(
+    i: int,
+    pair: wp.array(dtype=float),
+    top: wp.array(dtype=float),
+    bottom: wp.array(dtype=float),
+    rows: Neighbors,
+    limit: int,
+) -> float:
+    """sum_j pair_ij top_j/bottom_j over neighbours below index `limit`."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* pairs = pair.data;
+    const float* values = (const float*)v.data;
+    float x = 0.0f, y = 0.0f, z = 0.0f;
+    {{{LOOP}
+    {{
+        const int j = index[k] < limit ? index[k] : i;
+        const float w = index[k] < limit ? pairs[k] : 0.0f;
+        x += w * values[3 * j];
+        y += w * values[3 * j + 1];
+        z += w * values[3 * j + 2];
+    }}
+    }}
+    return wp::vec_t<3, float>(x, y, z);
+""")
+def sum_vectors(
+    i: int, pair: wp.array(dtype=float), v: wp.array(dtype=wp.vec3), rows: Neighbors, limit: int
+) -> wp.vec3:
+    """sum_j pair_ij v_j over neighbours below index `limit`."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* g = (const float*)gradient.data;
+    const float* values = f.data;
+    const float fi = values[i];
+    float x = 0.0f, y = 0.0f, z = 0.0f;
+    {{{LOOP}
+    {{
+        const float d = values[index[k] < limit ? index[k] : i] - fi;
+        x += d * g[3 * k];
+        y += d * g[3 * k + 1];
+        z += d * g[3 * k + 2];
+    }}
+    }}
+    return wp::vec_t<3, float>(x, y, z);
+""")
+def gradient_row(
+    i: int, f: wp.array(dtype=float), rows: Neighbors, gradient: wp.array(dtype=wp.vec3), limit: int
+) -> wp.vec3:
+    """sum_j (f_j - f_i) gradient_ij over neighbours below index `limit`: the surface gradient of f."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* g = (const float*)gradient.data;
+    const float* values = (const float*)u.data;
+    const float mx = way[0], my = way[1], mz = way[2];
+    const float ux = values[3 * i], uy = values[3 * i + 1], uz = values[3 * i + 2];
+    float x = 0.0f, y = 0.0f, z = 0.0f;
+    {{{LOOP}
+    {{
+        const int j = index[k];
+        const float w = mx * g[3 * k] + my * g[3 * k + 1] + mz * g[3 * k + 2];
+        x += w * (values[3 * j] - ux);
+        y += w * (values[3 * j + 1] - uy);
+        z += w * (values[3 * j + 2] - uz);
+    }}
+    }}
+    return wp::vec_t<3, float>(x, y, z);
+""")
+def change_along(
+    i: int, way: wp.vec3, u: wp.array(dtype=wp.vec3), rows: Neighbors, gradient: wp.array(dtype=wp.vec3)
+) -> wp.vec3:
+    """sum_j (way.gradient_ij) (u_j - u_i): how u changes along `way`."""
     ...
 
 
@@ -171,6 +291,62 @@ def fit_moments(
     With (u, v, z) the components of x_j - x_i: sums of W u^a v^b for (a, b) = 20, 11, 02, 30, 21, 12, 03, 40, 31,
     22, 13, 04, then of W z times u, v, u^2, uv, v^2.
     """
+    ...
+
+
+@wp.func_native("""
+    const int place[5][5] = {{0}, {1, 2}, {3, 4, 7}, {4, 5, 8, 9}, {5, 6, 9, 10, 11}};
+    const float ridge = 1.0e-6f * (m[0] + m[2] + m[7] + m[9] + m[11]) + 1.0e-30f;
+    wp::mat_t<5, 5, float> factor;
+    float turned[5], pivots[5];
+    for (int j = 0; j < 5; ++j)
+    {
+        float pivot = m[place[j][j]] + ridge;
+        for (int k = 0; k < j; ++k)
+        {
+            turned[k] = factor.data[j][k] * pivots[k];
+            pivot -= factor.data[j][k] * turned[k];
+        }
+        pivots[j] = pivot > 1.0e-30f ? pivot : 1.0e-30f;
+        factor.data[j][j] = 1.0f / pivots[j];
+        for (int i = j + 1; i < 5; ++i)
+        {
+            float s = m[place[i][j]];
+            for (int k = 0; k < j; ++k)
+                s -= factor.data[i][k] * turned[k];
+            factor.data[i][j] = s * factor.data[j][j];
+        }
+    }
+    return factor;
+""")
+def factor_fit(m: vec17) -> mat55:
+    """Factors L D L^T of the normal matrix of a fit from its moments, the diagonal slightly raised.
+
+    L is below the diagonal, 1/D on it.
+    """
+    ...
+
+
+@wp.func_native("""
+    float y[5];
+    for (int i = 0; i < 5; ++i)
+    {
+        y[i] = b[i];
+        for (int k = 0; k < i; ++k)
+            y[i] -= factor.data[i][k] * y[k];
+    }
+    wp::vec_t<5, float> x;
+    for (int i = 4; i >= 0; --i)
+    {
+        float s = y[i] * factor.data[i][i];
+        for (int k = i + 1; k < 5; ++k)
+            s -= factor.data[k][i] * x[k];
+        x[i] = s;
+    }
+    return x;
+""")
+def solve_fit(factor: mat55, b: vec5) -> vec5:
+    """Solve L D L^T x = b."""
     ...
 
 
@@ -386,19 +562,20 @@ def moment_row(
     ...
 
 
-@wp.func_native(f"""{ROW}
+@wp.func_native(f"""{LOWEST}{ROW}
     const float* q = (const float*)x.data;
     const float px = q[3 * i], py = q[3 * i + 1], pz = q[3 * i + 2];
     const float ax = e1[0], ay = e1[1], az = e1[2], bx = e2[0], by = e2[1], bz = e2[2];
     const float nx = n[0], ny = n[1], nz = n[2], near = 0.2f * r * r;
     const int room = 64, most = {CORNERS};
-    float us[room], vs[room], halves[room], squares[room], side[most], cu[2][most], cv[2][most];
-    int label[2][most], at = 0, corners = 4;
+    float us[room], vs[room], halves[room], squares[room];
+    float cu[most] = {{}}, cv[most] = {{}}, nu[most] = {{}}, nv[most] = {{}}, side[most];
+    int label[most], line[most], near_by[room], corners = 4;
     for (int c = 0; c < 4; ++c)
     {{
-        cu[0][c] = c == 1 || c == 2 ? 0.5f * r : -0.5f * r;
-        cv[0][c] = c < 2 ? -0.5f * r : 0.5f * r;
-        label[0][c] = -1;
+        cu[c] = c == 1 || c == 2 ? 0.5f * r : -0.5f * r;
+        cv[c] = c < 2 ? -0.5f * r : 0.5f * r;
+        label[c] = -1;
     }}
     float reach = 0.5f * r * r;
     // Near neighbours first: they leave a cell so small that few of the others reach it.
@@ -406,6 +583,7 @@ def moment_row(
         for (int from = first; from < last; from += room)
         {{
             const int count = last - from < room ? last - from : room;
+            if (far == 0 || last - first > room)
             {{{OVER}
             {{
                 const int j = index[from + m];
@@ -419,43 +597,62 @@ def moment_row(
                 squares[m] = dx * dx + dy * dy + dz * dz;
             }}
             }}
+            int found = 0;
             for (int m = 0; m < count; ++m)
             {{
-                if (!(squares[m] < 4.0f * reach) || (squares[m] < near) != (far == 0))
+                near_by[found] = m;
+                found += (squares[m] < 4.0f * reach) & ((squares[m] < near) == (far == 0));
+            }}
+            for (int f = 0; f < found; ++f)
+            {{
+                const int m = near_by[f];
+                if (!(squares[m] < 4.0f * reach))
                     continue;
-                int out = 0;
-                for (int c = 0; c < corners; ++c)
-                {{
-                    side[c] = cu[at][c] * us[m] + cv[at][c] * vs[m] - halves[m];
-                    out += !(side[c] < 0.0f);
-                }}
+                unsigned out = 0, all = (1u << corners) - 1u;
+                for (int c = 0; c < most; ++c)
+                    side[c] = cu[c] * us[m] + cv[c] * vs[m] - halves[m];
+                for (int c = 0; c < most; ++c)
+                    out |= (unsigned)!(side[c] < 0.0f) << c;
+                out &= all;
                 if (out == 0)
                     continue;
-                const int to = 1 - at;
-                int kept = 0, before = corners - 1;
-                reach = 0.0f;
-                for (int c = 0; c < corners; before = c++)
+                if (out == all)
                 {{
-                    const bool inside = side[c] < 0.0f;
-                    if ((side[before] < 0.0f) != inside && kept < most)
-                    {{
-                        const float t = side[before] / (side[before] - side[c]);
-                        cu[to][kept] = cu[at][before] + t * (cu[at][c] - cu[at][before]);
-                        cv[to][kept] = cv[at][before] + t * (cv[at][c] - cv[at][before]);
-                        label[to][kept++] = inside ? label[at][before] : from + m;
-                    }}
-                    if (inside && kept < most)
-                    {{
-                        cu[to][kept] = cu[at][c];
-                        cv[to][kept] = cv[at][c];
-                        label[to][kept++] = label[at][c];
-                    }}
+                    corners = 0;
+                    reach = 0.0f;
+                    continue;
                 }}
-                at = to;
+                // The corners that are cut off are one run: its first, and the first one after it.
+                const unsigned before = ((out << 1) | (out >> (corners - 1))) & all;
+                const int a = LOWEST(out & ~before);
+                const unsigned turned = ((out >> a) | (out << (corners - a))) & all;
+                const int run = LOWEST(~turned);
+                const int p = a > 0 ? a - 1 : corners - 1;
+                const int last_out = a + run - 1 < corners ? a + run - 1 : a + run - 1 - corners;
+                const int e = last_out + 1 < corners ? last_out + 1 : 0;
+                const float s = side[p] / (side[p] - side[a]), t = side[last_out] / (side[last_out] - side[e]);
+                nu[0] = cu[p] + s * (cu[a] - cu[p]);
+                nv[0] = cv[p] + s * (cv[a] - cv[p]);
+                line[0] = from + m;
+                nu[1] = cu[last_out] + t * (cu[e] - cu[last_out]);
+                nv[1] = cv[last_out] + t * (cv[e] - cv[last_out]);
+                line[1] = label[last_out];
+                int kept = 2;
+                for (int left = corners - run, c = e; left > 0 && kept < most; --left)
+                {{
+                    nu[kept] = cu[c];
+                    nv[kept] = cv[c];
+                    line[kept++] = label[c];
+                    c = c + 1 < corners ? c + 1 : 0;
+                }}
                 corners = kept;
+                reach = 0.0f;
                 for (int c = 0; c < corners; ++c)
                 {{
-                    const float square = cu[at][c] * cu[at][c] + cv[at][c] * cv[at][c];
+                    cu[c] = nu[c];
+                    cv[c] = nv[c];
+                    label[c] = line[c];
+                    const float square = cu[c] * cu[c] + cv[c] * cv[c];
                     reach = square > reach ? square : reach;
                 }}
             }}
@@ -465,16 +662,16 @@ def moment_row(
     for (int c = 0; c < corners; ++c)
     {{
         const int next = c + 1 < corners ? c + 1 : 0;
-        const float u = cu[at][c], v = cv[at][c], s = cu[at][next], t = cv[at][next], cross = u * t - v * s;
-        moments[0] += cross / 2.0f;
-        moments[1] += cross / 6.0f * (u + s);
-        moments[2] += cross / 6.0f * (v + t);
-        moments[3] += cross / 12.0f * (u * u + u * s + s * s);
-        moments[4] += cross / 24.0f * (2.0f * u * v + u * t + s * v + 2.0f * s * t);
-        moments[5] += cross / 12.0f * (v * v + v * t + t * t);
-        if (weight.data && label[at][c] >= 0)
+        const float u = cu[c], v = cv[c], s = cu[next], t = cv[next], cross = u * t - v * s;
+        moments[0] += cross;
+        moments[1] += cross * (u + s);
+        moments[2] += cross * (v + t);
+        moments[3] += cross * (u * u + u * s + s * s);
+        moments[4] += cross * (2.0f * u * v + u * t + s * v + 2.0f * s * t);
+        moments[5] += cross * (v * v + v * t + t * t);
+        if (weight.data && label[c] >= 0)
         {{
-            const int j = index[label[at][c]];
+            const int j = index[label[c]];
             const float dx = q[3 * j] - px, dy = q[3 * j + 1] - py, dz = q[3 * j + 2] - pz;
             const float edge = sqrtf((s - u) * (s - u) + (t - v) * (t - v));
             star.index.data[k] = j;
@@ -483,6 +680,9 @@ def moment_row(
     }}
     if (weight.data)
         star.stop.data[i] = k;
+    const float parts[6] = {{2.0f, 6.0f, 6.0f, 12.0f, 24.0f, 12.0f}};
+    for (int m = 0; m < 6; ++m)
+        moments[m] /= parts[m];
     return moments;
 """)
 def cut_cell(
@@ -502,6 +702,34 @@ def cut_cell(
     square of side r about x_i. Where there is a `weight`, `star` holds the neighbours whose lines are edges, in order,
     and it edge/distance.
     """
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* q = (const float*)x.data;
+    const float* normals = (const float*)normal.data;
+    const float px = q[3 * i], py = q[3 * i + 1], pz = q[3 * i + 2];
+    const float nx = normals[3 * i], ny = normals[3 * i + 1], nz = normals[3 * i + 2];
+    float x_sum = 0.0f, y_sum = 0.0f, z_sum = 0.0f;
+    {{{LOOP}
+    {{
+        const int j = index[k];
+        const float dx = px - q[3 * j], dy = py - q[3 * j + 1], dz = pz - q[3 * j + 2];
+        const float square = dx * dx + dy * dy + dz * dz;
+        const float facing = nx * normals[3 * j] + ny * normals[3 * j + 1] + nz * normals[3 * j + 2];
+        const bool near = square < close * close && square > 0.0f && facing > 0.0f;
+        const float w = near ? close / sqrtf(near ? square : 1.0f) - 1.0f : 0.0f;
+        x_sum += w * dx;
+        y_sum += w * dy;
+        z_sum += w * dz;
+    }}
+    }}
+    return wp::vec_t<3, float>(x_sum, y_sum, z_sum);
+""")
+def away_from_near(
+    i: int, x: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), rows: Neighbors, close: float
+) -> wp.vec3:
+    """sum_j (close/|d| - 1) d, d = x_i - x_j, over neighbours nearer than `close` whose normals are not turned away."""
     ...
 
 
@@ -576,21 +804,60 @@ def list_around_home(
     ...
 
 
-@wp.func_native(
-    """
+@wp.func_native(f"""
     const float* x = a.data;
     const float* y = b.data;
     float total = 0.0f;
-    {"""
-    + LOOP.replace("int k = first", "int k = begin").replace("k < last", "k < end")
-    + """
+    {{{RANGE}
         total += x[k] * y[k];
-    }
+    }}
     return total;
-"""
-)
+""")
 def sum_products(a: wp.array(dtype=float), b: wp.array(dtype=float), begin: int, end: int) -> float:
     """sum_k a_k b_k for k from `begin` to `end`."""
+    ...
+
+
+@wp.func_native(f"""
+    const float* ps = p.data;
+    const float* qs = q.data;
+    const float* scales = inverse.data;
+    float* xs = x.data;
+    float* rs = r.data;
+    float* zs = z.data;
+    {{{RANGE}
+    {{
+        const float left = rs[k] - alpha * qs[k];
+        xs[k] += alpha * ps[k];
+        rs[k] = left;
+        zs[k] = scales[k] * left;
+    }}
+    }}
+""")
+def advance_entries(
+    begin: int,
+    end: int,
+    alpha: float,
+    p: wp.array(dtype=float),
+    q: wp.array(dtype=float),
+    inverse: wp.array(dtype=float),
+    x: wp.array(dtype=float),
+    r: wp.array(dtype=float),
+    z: wp.array(dtype=float),
+):
+    """x += alpha p, r -= alpha q, z = inverse r for entries `begin` to `end`."""
+    ...
+
+
+@wp.func_native(f"""
+    const float* zs = z.data;
+    float* ps = p.data;
+    {{{RANGE}
+        ps[k] = zs[k] + beta * ps[k];
+    }}
+""")
+def turn_entries(begin: int, end: int, beta: float, z: wp.array(dtype=float), p: wp.array(dtype=float)):
+    """p = z + beta p for entries `begin` to `end`."""
     ...
 
 

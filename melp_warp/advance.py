@@ -10,6 +10,7 @@ from melp_warp.kernels import advance as ka
 from melp_warp.kernels import boundary as kb
 from melp_warp.kernels import redistribute as kr
 from melp_warp.kernels import transfer as kt
+from melp_warp.launch import copy
 from melp_warp.linear import ConjugateGradient, LinearOperator
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
@@ -34,18 +35,20 @@ class EulerianAdvance:
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.x_old = wp.clone(state.e.x)
         self._smoothed = film.zeros(film.n_e, wp.vec3)
-        self._near = film.zeros(lists.ee.rows.index.shape[0])
 
     def advance(self, u_mid: wp.array, frame: wp.array, dt: wp.array) -> None:
         """Move E with the normal velocity, their drift and the film as a whole (19)."""
         film, e = self.film, self.state.e
-        wp.copy(self.x_old, e.x)
+        copy(self.x_old, e.x)
         film.launch_e(
             ka.smooth_drift_e,
-            [e.x, e.drift, self.lists.ee.rows, film.r, film.n_e, film.numerics.xsph],
-            [self._near, self._smoothed],
+            [
+                *(e.drift, self.geometry.density, self.geometry.near, self.lists.ee.rows),
+                *(film.r, film.n_e, film.numerics.xsph),
+            ],
+            [self._smoothed],
         )
-        wp.copy(e.drift, self._smoothed)
+        copy(e.drift, self._smoothed)
         film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, e.region, frame, dt], [e.x])
 
 
@@ -92,9 +95,9 @@ class Redistribution:
             ],
             [self._x, self._u, self._drift],
         )
-        wp.copy(e.x, self._x, count=film.n_e)
-        wp.copy(e.u, self._u, count=film.n_e)
-        wp.copy(e.drift, self._drift)
+        copy(e.x, self._x, count=film.n_e)
+        copy(e.u, self._u, count=film.n_e)
+        copy(e.drift, self._drift)
 
 
 class LagrangianAdvance:

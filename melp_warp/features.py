@@ -61,6 +61,7 @@ class Features:
         needed = {
             **dict.fromkeys(("neighbors", "geometry", "cells", "gas", "diagnostics", "surfactant", "transfer"), True),
             "forces": True,
+            "lanes": True,
             "linear": self.moving or self.marangoni or self.viscous,
             "advance": self.moving or self.lagrangian,
             "redistribute": self.moving,

@@ -23,7 +23,7 @@ from melp_warp.kernels import lines as kl
 from melp_warp.kernels import motion as ko
 from melp_warp.kernels import regions as kr
 from melp_warp.kernels.rows import CORNERS
-from melp_warp.launch import Shared
+from melp_warp.launch import Shared, copy
 from melp_warp.linear import GasConjugateGradient, LinearOperator
 from melp_warp.membrane import close_volume
 from melp_warp.neighbors import NeighborLists, check_room, fixed_rows
@@ -244,9 +244,9 @@ class FoamMembrane:
         film, e, leash = self.film, self.state.e, LEASH * self.film.spacing
         inputs = [e.x, e.u, e.normal, self.lists.ee.rows, film.r, leash, self.contact]
         found = (self.predicted, self.force, self._rest)
-        film.launch_e(kf.recall_e, inputs, found)
+        film.launch_e(kf.recall_e, inputs, [self.geometry.near, *found])
         for array, new in zip((e.x, e.u, e.normal), found, strict=True):
-            wp.copy(array, new, count=film.n_e)
+            copy(array, new, count=film.n_e)
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""
@@ -319,14 +319,17 @@ class FoamMembrane:
         film.launch_e(
             kl.seek_normals_e,
             [
-                *(e.x, e.normal, vector, e.region, self.ahead, self._rest, self.cover, geometry.star, ee, film.r),
-                *(self.bent, self._share.array),
+                *(e.normal, vector, e.region, self.ahead, self._rest, self.cover, geometry.star),
+                *(geometry.near, ee, film.r, self.bent, self._share.array),
             ],
             [self._sought],
         )
         film.launch_e(
             kl.gather_load_e,
-            [e.x, e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought, ee, film.r, most],
+            [
+                *(e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought),
+                *(geometry.near, ee, film.r, most),
+            ],
             [self._load],
         )
         film.launch_parts(

@@ -12,6 +12,7 @@ from melp_warp.kernels import geometry as kg
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.rows import CORNERS
+from melp_warp.launch import copy
 from melp_warp.neighbors import NeighborLists, fixed_rows
 from melp_warp.state import State
 
@@ -34,6 +35,7 @@ class Geometry:
         cell: [n_e] Voronoi areas, m^2.
         area: [n_e] control areas, m^2.
         density: [n_e] number density with boundary particles, 1/m^2.
+        near: [pairs] W of each pair of E, of which `density` is the sum, 1/m^2.
         kappa: [n_e] sum of principal curvatures at the place last asked for, 1/m.
         star: in foams, the neighbours across the edges of each Voronoi cell.
         tie: [CORNERS n_e] in foams, w_ij of the star's pairs, symmetric: sum_j w_ij (x_j - x_i) is minus the area's
@@ -49,7 +51,7 @@ class Geometry:
         self.surface = film.zeros(film.n_e, Quadric)
         self.gradient = film.zeros(pairs, wp.vec3)
         self.inner_gradient = film.zeros(pairs, wp.vec3) if film.features.rim else self.gradient
-        self.weight, self._near = film.zeros(pairs), film.zeros(pairs)
+        self.weight, self.near = film.zeros(pairs), film.zeros(pairs)
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
@@ -64,7 +66,7 @@ class Geometry:
         """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
         film, e, rows = self.film, self.state.e, self.lists.ee.rows
         if self._before:
-            wp.copy(self._before, e.normal)
+            copy(self._before, e.normal)
         film.launch_e(kg.orient_frames_e, [e.x, self._before, rows, film.r], [e.normal])
         film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.surface, self.kappa, self.gradient])
         if film.features.closed:
@@ -77,7 +79,7 @@ class Geometry:
             [e.x, e.normal, self.surface, rows, film.r],
             [self.cell, self._flux, self._bulge, self.star, self._found],
         )
-        film.launch_e(kc.control_area_e, [self.cell, self._inner, self._near, rows, film.r, film.n_e], [self.area])
+        film.launch_e(kc.control_area_e, [self.cell, self._inner, self.near, rows, film.r, film.n_e], [self.area])
         self._weigh_pairs()
         self.measure_volume()
         if film.features.foam:
@@ -86,8 +88,8 @@ class Geometry:
 
     def set_area(self, area: wp.array) -> None:
         """Take control areas found otherwise, for a film whose E stay where they are."""
-        wp.copy(self.area, area)
-        wp.copy(self.cell, area)
+        copy(self.area, area)
+        copy(self.cell, area)
         self._weigh_pairs()
         self.measure_volume()
 
@@ -108,9 +110,7 @@ class Geometry:
     def update_density(self) -> None:
         """Number density (9) at the present positions."""
         film, e = self.film, self.state.e
-        film.launch_e(
-            kg.density_e, [e.x, self.lists.ee.rows, film.r, film.n_e], [self._near, self.density, self._inner]
-        )
+        film.launch_e(kg.density_e, [e.x, self.lists.ee.rows, film.r, film.n_e], [self.near, self.density, self._inner])
 
     def curvature(self, x: wp.array) -> wp.array:
         """Curvature of the surface through the points x, by the operator the scene chose. [n_e], 1/m."""

@@ -9,23 +9,36 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
+from threading import Lock
 from weakref import WeakMethod
 
 import warp as wp
 
+from melp_warp.kernels.lanes import meet
 from melp_warp.kernels.neighbors import Neighbors
 
-THREADS = int(os.environ.get("MELP_WARP_THREADS", "0")) or os.cpu_count() or 1
+
+def _cores() -> int:
+    """CPU cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+THREADS = int(os.environ.get("MELP_WARP_THREADS", "0")) or _cores()
 """CPU threads that share a launch. Results do not depend on it."""
 
 ROWS_A_THREAD = 1024
-"""Fewest rows of neighbours worth a CPU thread."""
+"""Fewest rows of neighbours worth waking a CPU thread for."""
 
 ENTRIES_A_THREAD = 16384
-"""Fewest entries of an array worth a CPU thread where a kernel looks at nothing else."""
+"""The same for entries of an array, where a kernel looks at nothing else."""
 
-ALONE_ROWS = 12000
-"""Rows of neighbours from which a sequence gains more from cores than from being captured."""
+ROWS_A_LANE = 256
+"""Fewest rows of neighbours worth a lane of a graph, which is awake already."""
+
+ENTRIES_A_LANE = 2048
+"""The same for entries of an array."""
 
 GRAPHS = os.environ.get("MELP_WARP_GRAPHS", "1") != "0"
 """Whether sequences are captured at all. Results do not depend on it."""
@@ -33,8 +46,8 @@ GRAPHS = os.environ.get("MELP_WARP_GRAPHS", "1") != "0"
 CPU_BLOCK = 1
 """Threads of a block on the CPU, part of what a module is compiled for."""
 
-_pool = ThreadPoolExecutor(THREADS)
-_shared = True
+_pool = ThreadPoolExecutor(max(THREADS, 8))
+_team = Lock()
 
 
 class Shared:
@@ -42,6 +55,79 @@ class Shared:
 
     def __init__(self, array: wp.array | Neighbors | None):
         self.array = array
+
+
+class _Lane:
+    """One of the CPU cores that a sequence is recorded for, each into a graph of its own.
+
+    A lane has its range of the rows of kernels that cores share; the first one has all others. Before what another
+    lane may have yet to do for it a lane waits until all are there.
+
+    Args:
+        number: which of them.
+        count: how many there are.
+
+    Attributes:
+        needed: whether the lane has anything to do.
+    """
+
+    def __init__(self, number: int, count: int):
+        self.number, self.count = number, count
+        self._behind = None  # what the lanes have not waited for yet: "all" of them, the "first", or none
+        self.needed = number == 0
+
+    def alone(self, run: Callable[[], None]) -> None:
+        """Record what the first lane does for all."""
+        if self._behind == "all":
+            self.wait()
+        if self.number == 0:
+            run()
+        self._behind = "first"
+
+    def share(self, run: Callable[[int, int], None], dim: int, least: int) -> None:
+        """Record this lane's part of run(first, last)."""
+        parts = max(1, min(self.count, dim // least))
+        if parts == 1:
+            self.alone(lambda: run(0, dim))
+            return
+        self.wait()
+        self.needed = True
+        if self.number < parts:
+            run(dim * self.number // parts, dim * (self.number + 1) // parts)
+        self._behind = "all"
+
+    def repeat(self, go: wp.array, body: Callable[[], None]) -> None:
+        """Record a sequence that is repeated while `go[0]` is not 0: all lanes look before it changes again."""
+
+        def turn() -> None:
+            self._meet()
+            body()
+            self.wait()
+
+        self.wait()
+        wp.capture_while(go, turn)
+        self._meet()
+
+    def wait(self) -> None:
+        """Record a wait for all lanes, unless nothing happened since the last one."""
+        if self._behind:
+            self._meet()
+
+    def _meet(self) -> None:
+        if self.count > 1:
+            self.needed = True
+            wp.launch(meet, dim=1, inputs=[_gate(), self.count], device="cpu")
+        self._behind = None
+
+
+@cache
+def _gate() -> wp.array:
+    """Where lanes meet: one place for all sequences, as one runs at a time."""
+    return wp.zeros(32, dtype=wp.uint32, device="cpu")
+
+
+_lane: _Lane | None = None
+"""The lane that is being recorded."""
 
 
 def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None, least: int = ROWS_A_THREAD) -> None:
@@ -60,14 +146,14 @@ def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=No
         least: fewest rows worth a CPU thread.
     """
     if not _starts_anywhere(kernel.func):
-        _launch(kernel, dim, inputs, outputs, device)
+        _alone(lambda: _launch(kernel, dim, inputs, outputs, device))
         return
 
     def run(first: int, last: int) -> None:
         parts = [[_from(a, first) for a in arguments] for arguments in (inputs, outputs)]
         _launch(kernel, last - first, *parts, device)
 
-    _share(kernel, dim, least, device, run)
+    _share(kernel, dim, least, ROWS_A_LANE, device, run)
 
 
 def launch_rows(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None) -> None:
@@ -84,7 +170,25 @@ def launch_rows(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), devi
         cut = [[_cut(a, dim, first, last) for a in arguments] for arguments in (inputs, outputs)]
         _launch(kernel, last - first, *cut, device)
 
-    _share(kernel, dim, ENTRIES_A_THREAD, device, run)
+    _share(kernel, dim, ENTRIES_A_THREAD, ENTRIES_A_LANE, device, run)
+
+
+def copy(target: wp.array, source: wp.array, count: int = 0) -> None:
+    """Copy the first `count` entries of an array, or all, as a part of a sequence."""
+    _alone(lambda: wp.copy(target, source, count=count))
+
+
+def clear(array: wp.array) -> None:
+    """Set an array to zero, as a part of a sequence."""
+    _alone(array.zero_)
+
+
+def _alone(run: Callable[[], None]) -> None:
+    """Do what one core does for all."""
+    if _lane is None:
+        run()
+    else:
+        _lane.alone(run)
 
 
 def _launch(kernel, dim: int, inputs: Sequence, outputs: Sequence, device) -> None:
@@ -98,10 +202,12 @@ def _starts_anywhere(function: Callable) -> bool:
     return ".first + wp.tid()" in inspect.getsource(function)
 
 
-def _share(kernel, dim: int, least: int, device, run: Callable[[int, int], None]) -> None:
+def _share(kernel, dim: int, least: int, least_lane: int, device, run: Callable[[int, int], None]) -> None:
     """Call run(first, last) for ranges that make up 0 to `dim`, one a core."""
-    alone = not _shared or wp.get_device(device).is_cuda
-    parts = 1 if alone else max(1, min(THREADS, dim // least))
+    if _lane is not None:
+        _lane.share(run, dim, least_lane)
+        return
+    parts = 1 if wp.get_device(device).is_cuda else max(1, min(THREADS, dim // least))
     edges = [dim * k // parts for k in range(parts + 1)]
     if parts > 1:
         kernel.module.load(wp.get_device(device), CPU_BLOCK)  # not by every thread at once
@@ -161,11 +267,13 @@ def repeat(go: wp.array, body: Callable[[], None], most: int) -> None:
         body: launches the sequence; running it with `go[0]` at 0 must change nothing.
         most: times that it is run on a GPU whose driver has no conditional parts of graphs.
     """
-    if _decides(go.device):
-        wp.capture_while(go, body)
-    else:
+    if not _decides(go.device):
         for _ in range(most):
             body()
+    elif _lane is None:
+        wp.capture_while(go, body)
+    else:
+        _lane.repeat(go, body)
 
 
 def _decides(device) -> bool:
@@ -174,49 +282,68 @@ def _decides(device) -> bool:
 
 
 class Recorded:
-    """A sequence of launches that is captured as a graph at its first run and replayed from then on.
+    """A sequence of launches that is captured at its first run and replayed from then on.
+
+    On the CPU it is captured once a core, each of which runs a graph of its own: they start together and meet between
+    kernels (`_Lane`), so that a sequence wakes them once. A GPU has one graph.
 
     The arrays it touches, their sizes and all numbers passed to kernels are baked in: make a new one when arrays are
     replaced, and hand numbers that change over in arrays (`melp_warp.settings.Setting`). A sequence within another that
-    is captured becomes a part of that one's graph. A graph runs on one CPU core: from `least` rows on the sequence is
-    run launch by launch instead, by all of them.
+    is captured becomes a part of that one's graph. It may contain what this module launches, copies and clears.
 
     Args:
         body: method of its owner that launches the sequence; it is not kept alive by this.
         device: where to run.
         rows: threads of the largest launch.
-        least: fewest rows that all cores together are better for.
     """
 
-    def __init__(self, body: Callable[[], None], device, rows: int = 0, least: int = ALONE_ROWS):
+    def __init__(self, body: Callable[[], None], device, rows: int):
         self._method = WeakMethod(body)
         self._device = wp.get_device(device)
-        self._shared = not self._device.is_cuda and THREADS > 1 and rows >= least
-        self._graph = None
+        self._rows = rows
+        self._graphs = []
 
     def _body(self) -> None:
         self._method()()
 
     def __call__(self) -> None:
         """Run the sequence."""
-        if self._shared or not _shared or not GRAPHS:
+        if _lane is not None or not GRAPHS:
             self._body()
-        elif self._graph is None:
-            with _one_thread():
+        elif not self._graphs:
+            with _recording(_Lane(0, 1)):
                 self._body()  # the first run loads every module, which a capture must not do
-                with wp.ScopedCapture(device=self._device) as capture:
-                    self._body()
-            self._graph = capture.graph
+            self._capture()
         else:
-            wp.capture_launch(self._graph)
+            _run_together(self._graphs)
+
+    def _capture(self) -> None:
+        count = 1 if self._device.is_cuda else max(1, min(THREADS, self._rows // ROWS_A_LANE))
+        if count > 1:
+            wp.launch(meet, dim=1, inputs=[_gate(), 1], device=self._device)  # loads its module
+        for number in range(count):
+            lane = _Lane(number, count)
+            with _recording(lane), wp.ScopedCapture(device=self._device) as capture:
+                self._body()
+            if lane.needed:
+                self._graphs.append(capture.graph)
+
+
+def _run_together(graphs: Sequence[wp.Graph]) -> None:
+    """Run graphs side by side, a CPU core each; they wait for each other, so that no others may get in between."""
+    with _team:
+        others = [_pool.submit(wp.capture_launch, graph) for graph in graphs[1:]]
+        wp.capture_launch(graphs[0])
+        for other in others:
+            other.result()
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Launch from this thread alone: none other may launch during a capture."""
-    global _shared  # noqa: PLW0603
-    _shared, before = False, _shared
+def _recording(lane: _Lane) -> Iterator[None]:
+    """Take what is launched for work of this lane."""
+    global _lane  # noqa: PLW0603
+    _lane, before = lane, _lane
     try:
         yield
     finally:
-        _shared = before
+        _lane = before

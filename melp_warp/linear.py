@@ -9,9 +9,12 @@ import warp as wp
 
 from melp_warp.kernels import linear as k
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.launch import Recorded, launch, repeat
+from melp_warp.launch import Recorded, clear, copy, launch, repeat
 
 CHUNKS = 64
+
+ENTRIES = 256
+"""Entries of an array that a CPU thread takes at once where a kernel looks at nothing else; a GPU thread takes one."""
 
 
 class LinearOperator:
@@ -52,6 +55,7 @@ class _Solver:
         self.control = wp.array([tolerance, self._most], dtype=wp.float32, device=device)
         self.part_a = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
         self.part_b = wp.zeros(CHUNKS, dtype=wp.float32, device=device)
+        self._entries = ENTRIES if not wp.get_device(device).is_cuda else 1
         self._run = Recorded(self._body, device, n)
 
     def _launch(self, kernel, inputs, outputs=(), dim=None):
@@ -59,6 +63,10 @@ class _Solver:
 
     def _dot(self, a, b, partial):
         self._launch(k.dot_chunks, [a, b, self.n], [partial], dim=CHUNKS)
+
+    def _over_entries(self, kernel, inputs, outputs):
+        dim = math.ceil(self.n / self._entries)
+        self._launch(kernel, [*inputs, self._entries], outputs, dim=dim)
 
     def _repeat(self, body) -> None:
         repeat(self.go, body, self._most)
@@ -113,13 +121,22 @@ class ConjugateGradient(_Solver):
         self._repeat(self._iterate if self.jacobi is None else self._sweep)
 
     def _iterate(self):
-        self._launch(k.apply_operator, [self.p, *self.operator.arrays], [self.q])
+        self._apply()
         self._dot(self.p, self.q, self.part_a)
         self._launch(k.set_alpha, [self.part_a, self.go], [self.scalar], dim=1)
-        self._launch(k.advance_solution, [self.scalar, self.p, self.q, self.inverse], [self.x, self.r, self.z])
+        moved = [self.x, self.r, self.z]
+        self._over_entries(k.advance_solution, [self.scalar, self.p, self.q, self.inverse], moved)
+        self._precondition()
         self._dot(self.r, self.z, self.part_a)
         self._launch(k.set_beta, [self.part_a, self.control, 1.0], [self.scalar, self.go], dim=1)
-        self._launch(k.advance_direction, [self.scalar, self.z], [self.p])
+        self._over_entries(k.advance_direction, [self.scalar, self.z], [self.p])
+
+    def _apply(self):
+        """q = A p."""
+        self._launch(k.apply_operator, [self.p, *self.operator.arrays], [self.q])
+
+    def _precondition(self):
+        """From D^-1 r, which z is already, to what the search goes on from."""
 
     def _sweep(self):
         arguments = [self.b, *self.operator.arrays, self.inverse, self.jacobi]
@@ -156,32 +173,25 @@ class GasConjugateGradient(ConjugateGradient):
 
     def _body(self):
         a = self.operator.arrays
-        self.x.zero_()
+        clear(self.x)
         self._launch(k.invert_diagonal, a, [self.inverse])
         self._launch(k.scale_sweep_e, [self.sweep, self.inverse], [self.scaled])
         self._region_dot(self.scaled, self.sweep)
         self._by_region(k.soften_gas_r, [self.part, self.stiff], [self.soft])
         self._launch(k.start_residual, [self.x, self.b, *a, self.inverse], [self.r, self.z, self.p])
-        self._soften()
-        wp.copy(self.p, self.z)
+        self._precondition()
+        copy(self.p, self.z)
         self._dot(self.r, self.z, self.part_a)
         self._launch(k.start_scalars, [self.part_a, self.part_a, self.control], [self.scalar, self.go], dim=1)
         self._repeat(self._iterate)
 
-    def _iterate(self):
-        self._launch(k.apply_operator, [self.p, *self.operator.arrays], [self.q])
+    def _apply(self):
+        super()._apply()
         self._region_dot(self.sweep, self.p)
         self._by_region(k.weigh_gas_r, [self.part, self.stiff], [self.weight])
         self._launch(k.add_gas_e, [self.weight, self.sweep, self.region], [self.q])
-        self._dot(self.p, self.q, self.part_a)
-        self._launch(k.set_alpha, [self.part_a, self.go], [self.scalar], dim=1)
-        self._launch(k.advance_solution, [self.scalar, self.p, self.q, self.inverse], [self.x, self.r, self.z])
-        self._soften()
-        self._dot(self.r, self.z, self.part_a)
-        self._launch(k.set_beta, [self.part_a, self.control, 1.0], [self.scalar, self.go], dim=1)
-        self._launch(k.advance_direction, [self.scalar, self.z], [self.p])
 
-    def _soften(self):
+    def _precondition(self):
         """From D^-1 r to (D + k s s^T)^-1 r."""
         self._region_dot(self.scaled, self.r)
         self._by_region(k.weigh_gas_r, [self.part, self.soft], [self.weight])

@@ -12,7 +12,7 @@ from melp_warp.geometry import Geometry
 from melp_warp.kernels import gas as kg
 from melp_warp.kernels import membrane as km
 from melp_warp.kernels import motion as ko
-from melp_warp.launch import launch
+from melp_warp.launch import clear, copy, launch
 from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
 from melp_warp.neighbors import NeighborLists
 from melp_warp.rim import Rim
@@ -106,13 +106,13 @@ class AirResponse:
     def solve(self) -> tuple[wp.array, wp.array]:
         """As `FilmResponse.solve`."""
         self._respond(self.load)
-        wp.copy(self._load_scalar, self.solver.scalar)
+        copy(self._load_scalar, self.solver.scalar)
         if self.film.features.closed:
             self._respond(self.unit)
         return self.load.x, self.unit.x
 
     def _respond(self, pair: _Pair) -> None:
-        pair.x.zero_()
+        clear(pair.x)
         for _ in range(SWEEPS):
             self.film.launch_e(
                 km.lower_residual_e,
@@ -120,7 +120,7 @@ class AirResponse:
                 [self.solver.b],
             )
             self.solver.solve()
-            wp.copy(pair.x, self.solver.x)
+            copy(pair.x, self.solver.x)
 
     def report(self) -> tuple[int, float]:
         """Iterations and residual of the last load solve."""
@@ -204,7 +204,7 @@ class Membrane:
         """Advance the normal velocity of E by dt and set `u_mid`."""
         if self.film.features.closed:
             self._find_motion(self.found)
-            wp.copy(self.start, self.state.motion)
+            copy(self.start, self.state.motion)
             e = self.state.e
             self.film.launch_e(ko.hold_motion_e, [e.normal, e.region, self.found, self.state.motion], [e.u])
         self._load(self.ahead.array, dt)

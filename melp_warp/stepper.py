@@ -16,7 +16,7 @@ from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
-from melp_warp.launch import ROWS_A_THREAD, Recorded, launch
+from melp_warp.launch import Recorded, launch
 from melp_warp.membrane import Membrane
 from melp_warp.neighbors import NeighborLists
 from melp_warp.rim import Rim
@@ -32,9 +32,6 @@ LATER = ("geometry", "advance_l")
 
 OF_L = ("l_to_e", "e_to_l", "advance_l")
 """Stages whose largest kernels have a thread an L."""
-
-SHARED_ROWS = 2 * ROWS_A_THREAD
-"""Rows from which a stage has kernels that cores share: it gains more from that than from being captured."""
 
 
 class Stepper:
@@ -80,12 +77,11 @@ class Stepper:
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.steps = 0
         self.whole = film.device.is_cuda
+        rows = max(film.n_e, film.n_l)
         self._stages = {
-            name: Recorded(run, film.device, max(film.n_e, film.n_l if name in OF_L else 0), SHARED_ROWS)
-            for name, run in self._table().items()
+            name: Recorded(run, film.device, rows if name in OF_L else film.n_e) for name, run in self._table().items()
         }
-        self._fields = Recorded(self._find_fields, film.device, film.n_e, SHARED_ROWS)
-        self._graphs = [Recorded(run, film.device) for run in (self._move, self._follow)]
+        self._graphs = [Recorded(run, film.device, rows) for run in (self._move, self._follow)]
         self.geometry.update()
 
     def _make_membrane(self) -> Membrane | FoamMembrane:
@@ -154,11 +150,11 @@ class Stepper:
     def _gather(self) -> None:
         self.lists.note_late(1)
         self.transfer.l_to_e()  # (6), (7)
-        self._fields()
+        self._find_fields()
 
     def _keep(self) -> None:
         self.film.launch_e(kt.keep_normal_e, [self.state.e.normal], [self.state.e.u])
-        self._fields()
+        self._find_fields()
 
     def _find_fields(self) -> None:
         self.fields.update()

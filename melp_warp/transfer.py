@@ -10,7 +10,7 @@ from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
 from melp_warp.kernels.rows import vec12
-from melp_warp.launch import launch
+from melp_warp.launch import clear, launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.settings import Setting
 from melp_warp.state import State
@@ -103,7 +103,7 @@ class Transfer:
 
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
-        self.growth.zero_()
+        clear(self.growth)
         self.normalize()
         self.gather_to_l()
 

@@ -121,6 +121,7 @@ def test_a_step_neither_allocates_nor_reads_back(name, mode, device, monkeypatch
 
 def test_two_graphs_are_launched_a_step(monkeypatch):
     """From the second step on the host does no more than that, but for lists and for numbers that changed."""
+    monkeypatch.setattr(launch, "THREADS", 1)  # on the CPU each core has its own two
     simulation, dt = simulation_of("closed", "whole", monkeypatch)
     simulation.step(dt)
     simulation.stepper.lists.skin = np.inf  # no lists in this test
@@ -236,6 +237,7 @@ def test_a_step_is_captured_anew_where_regions_change(monkeypatch):
     plain.advance_frame()
     graphs, capture = [], wp.ScopedCapture
     monkeypatch.setattr(wp, "ScopedCapture", lambda **options: graphs.append(capture(**options)) or graphs[-1])
+    monkeypatch.setattr(launch, "THREADS", 1)  # on the CPU each core has its own two
     simulation = unwatched(scene, monkeypatch)
     graphs.clear()
     simulation.advance_frame()

@@ -1,0 +1,96 @@
+"""CPU cores that run a graph each and wait for each other do what one would."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from melp_warp import launch as launcher
+from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.launch import Recorded, clear, copy, launch, repeat
+from melp_warp.neighbors import fixed_rows
+
+N = 1200
+
+
+@wp.kernel(enable_backward=False)
+def mix_rows(rows: Neighbors, source: wp.array(dtype=wp.int32), target: wp.array(dtype=wp.int32)):
+    """Shared by cores: reads what another core has written."""
+    i = rows.first + wp.tid()
+    n = target.shape[0]
+    target[i] = source[(7 * i + 300) % n] + 3 * source[n - 1 - i] + 1
+
+
+@wp.kernel(enable_backward=False)
+def total_of(source: wp.array(dtype=wp.int32), left: wp.array(dtype=wp.int32), total: wp.array(dtype=wp.int32)):
+    """On one core: reads what all have written, and counts down."""
+    s = int(0)
+    for i in range(source.shape[0]):
+        s = s * 31 + source[i]
+    total[0] = 5 * total[0] + s
+    left[0] = left[0] - 1
+
+
+@wp.kernel(enable_backward=False)
+def set_left(count: wp.array(dtype=wp.int32), left: wp.array(dtype=wp.int32)):
+    """Go round `count` times."""
+    left[0] = count[0]
+
+
+class Work:
+    """Loops within a sequence; `inside` says what is in them: kernels that are shared, that are not, or both."""
+
+    def __init__(self, device, inside):
+        self.inside, self.device = inside, device
+        self.rows = fixed_rows(N, 1, device)
+        self.a = wp.array(np.arange(N, dtype=np.int32), device=device)
+        self.b, self.c = (wp.zeros(N, dtype=wp.int32, device=device) for _ in range(2))
+        self.total, self.left = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
+        self.count = wp.array([9], dtype=wp.int32, device=device)
+        self.run = Recorded(self.body, device, N)
+
+    def body(self):
+        """Shared, alone, shared, and two loops in a row that are told by the same number when to stop."""
+        launch(mix_rows, N, [self.rows, self.a], [self.b], self.device)
+        clear(self.c)
+        for _ in range(2):
+            launch(set_left, 1, [self.count], [self.left], self.device)
+            repeat(self.left, self.turn, 9)
+        copy(self.c, self.b)
+        launch(mix_rows, N, [self.rows, self.c], [self.a], self.device)
+
+    def turn(self):
+        if self.inside != "alone":
+            launch(mix_rows, N, [self.rows, self.b], [self.c], self.device)
+            launch(mix_rows, N, [self.rows, self.c], [self.b], self.device)
+        launch(total_of, 1, [self.b], [self.left, self.total], self.device)
+
+    def numbers(self):
+        """All that the sequence leaves."""
+        return [array.numpy().copy() for array in (self.a, self.b, self.c, self.total)]
+
+
+@pytest.mark.parametrize("inside", ["alone", "both"])
+def test_lanes_wait_for_each_other(inside, device, monkeypatch):
+    """On three cores, 300 times over, the numbers are those of one core and those without a graph."""
+    results = []
+    for threads, graphs in ((1, False), (1, True), (3, True)):
+        monkeypatch.setattr(launcher, "THREADS", threads)
+        monkeypatch.setattr(launcher, "GRAPHS", graphs)
+        work = Work(device, inside)
+        for k in range(300):
+            work.count.assign([k % 5])
+            work.run()
+        results.append(work.numbers())
+        assert len(work.run._graphs) == graphs * threads
+    for other in results[1:]:
+        assert all(np.array_equal(one, two) for one, two in zip(results[0], other, strict=True))
+    assert results[0][3][0] != 0
+
+
+def test_what_is_not_shared_wakes_no_core(device, monkeypatch):
+    """A sequence in which one core does everything is one graph."""
+    monkeypatch.setattr(launcher, "THREADS", 3)
+    work = Work(device, "alone")
+    run = Recorded(work.turn, device, N)
+    run()
+    assert len(run._graphs) == 1
