@@ -11,7 +11,7 @@ from melp_warp.errors import require
 SCHEMES = ("backward_euler", "trapezoid", "explicit")
 OPERATORS = ("mls", "sph")
 SOLVERS = ("cg", "jacobi")
-GRADIENTS = ("symmetric", "difference")
+GRADIENTS = ("difference", "symmetric")
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Numerics:
         spread: (delta_max - delta_min)/delta_mean below which E are left alone.
         xsph: XSPH smoothing of the tangential E velocity, 0 to 1 (the paper's 0.99). E have no flow to lose by it, but
             for a single layer it is the artificial viscosity of the flow.
-        gradient: Marangoni force of a single layer: "symmetric" in pairs, which keeps momentum and energy, or
-            "difference", the paper's (21).
+        gradient: Marangoni force of a single layer: "difference", the paper's (21), or "symmetric" in pairs, which
+            keeps momentum and energy, but takes the noise of an uneven arrangement for a pressure.
         border: gap within which films of a foam cling to each other, in E spacings; lines are about as wide.
         exchange: rate psi at which L cross between films that touch, (27) and (28), 1/s.
         thickness_time: time in which eta_L relaxes to agree with eta_E, s.
@@ -62,7 +62,7 @@ class Numerics:
     redistribution: float = 1.0
     spread: float = 0.02
     xsph: float = 0.99
-    gradient: str = "symmetric"
+    gradient: str = "difference"
     border: float = 1.0
     exchange: float = 0.0
     thickness_time: float = 0.1

@@ -29,6 +29,9 @@ AREA_STEPS = 4
 
 SUM_STEPS = 4
 
+SINGLE_ROOM = 2.0
+"""Room of the lists of a single layer over that of MELP: where a film gets thicker, its particles get denser."""
+
 FAR = 4.0
 """Distance of a film from the origin, in its own sizes, from which on positions are measured from the film."""
 
@@ -173,6 +176,8 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     lagrangian = _l_state(scene, e.count, spacing, origin, device)
     labels = scene.shape.initial if features.foam else (0,)
     film, state = _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, device)
+    if features.single:
+        film.room *= SINGLE_ROOM
     if features.closed:
         film.radius = float(np.sqrt(scene.shape.area / (4.0 * np.pi)))
     if features.moving:

@@ -67,6 +67,7 @@ KNOBS: Mapping[str, Mapping[str, Quality]] = MappingProxyType(
         "layers": {
             "1, as many as E": Quality(step=0.125, keys={"layers": 1}),
             "1, four an E": Quality(e=4.0, step=0.125, keys={"layers": 1}),
+            "1, four an E, symmetric": Quality(e=4.0, step=0.125, keys={"layers": 1, "gradient": "symmetric"}),
             "1, four an E, xsph 0": Quality(e=4.0, step=0.125, keys={"layers": 1, "xsph": 0.0}),
         },
     }
