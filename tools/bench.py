@@ -228,7 +228,8 @@ def layer_tables(runs: list[dict], drag_free: list[dict]) -> str:
     why = []
     for r in drag_free:
         why.append([r["force"], f"{r['xsph']:g}", r["by"], f"{r['cfl']:g}", str(r["steps"])])
-        why[-1] += [f"{100 * r['end']:.1f} %", yes(r["stable"])]
+        end = f"{100 * r['end']:.1f} %" if math.isfinite(r["end"]) else f"stops at {r['reached']:.2g} s"
+        why[-1] += [end, yes(r["stable"])]
     return (
         f"The disc of `equilibrium`, {100 * runs[0]['start']:.1f} % uneven at the start, in two layers and in one\n"
         f"(`layers=1`), to {EVEN_TIME:g} s and, with the particles of the paper's flow, to {FLOW_TIME:g} s:\n\n"
