@@ -151,7 +151,7 @@ class Membrane:
             grow. So theta rises to 1 where the shortest wave runs more than `MIDPOINT_CFL` spacings in a step.
         theta_whole: the same for the motion of the film as a whole, which has no stiffness.
         ahead: [1] theta dt, s: how far ahead the force is taken; 0 for the explicit scheme.
-        lumped: air that the explicit scheme takes along with every wave, that of mode n = 2, kg/m^2.
+        lumped: air that every wave of a single layer takes along, that of mode n = 2, kg/m^2.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [1] velocity of the film as a whole at the start of the step, m/s.
         frame: [1] the same in the step; that of its end is `State.motion`.
@@ -187,6 +187,7 @@ class Membrane:
         self.added = self.lumped = 0.0
         if film.features.air:
             self.added = air.rigid_added_mass(film.surroundings.air_density, film.radius)
+        if film.features.air and film.features.single:
             self.lumped = float(air.added_mass(6.0 / _size(film) ** 2, film.surroundings.air_density, film.radius))
         if film.features.air and not self.explicit:
             self.response = AirResponse(film, state, lists, geometry)
