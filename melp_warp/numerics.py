@@ -29,7 +29,8 @@ class Numerics:
         solver: "cg" or "jacobi" (the paper's relaxed sweeps) for the surfactant equation (14).
         tolerance: relative residual at which conjugate gradients stop.
         max_iterations: iterations or sweeps at which a solve stops.
-        cfl: largest displacement of a particle in a step, in E spacings, where the scene sets no dt.
+        cfl: largest displacement of a particle in a step, in E spacings, where the scene sets no dt; in a single layer
+            that of a particle and of the fastest wave together, always.
         l_order: order in time of the L advance, 1 or 2.
         affinity: share of the affine part in the transfer from L to E (7): 1 for APIC (Jiang et al. 2015), 0 for PIC.
         flip: share that L keep of their own velocity's departure from that of the E around them: with it u_L becomes

@@ -28,8 +28,8 @@ class Scene:
         name: short name, used in file names and messages.
         shape: the film's geometry, which samples the particles.
         e_count: number of Eulerian particles wanted (the shape may round it, see `Shape.sample`).
-        l_per_e: Lagrangian particles per Eulerian particle; 0 for an E-only scene, and what it
-            is taken to be where there is a single layer.
+        l_per_e: Lagrangian particles per Eulerian particle; 0 for an E-only scene, and as which it is taken
+            in a single layer.
         material: the liquid.
         surroundings: gravity, air, pressure.
         thickness: eta(x) in m; None for `material.thickness` everywhere.

@@ -272,6 +272,7 @@ class Simulation:
     def largest_step(self) -> float:
         """The scene's dt, or the step in which the fastest particle moves `cfl` spacings, s.
 
+        A single layer is limited by its waves besides, see `SingleLayer.longest_step`.
         Where the scene sets no dt, the first step is that of the fastest wave on the film and a step is at most twice
         the one before: at the start nothing has moved yet.
         """
