@@ -50,6 +50,33 @@ def mirror_velocity_b(
     u[n_e + b] = v - 2.0 * (wp.dot(v, o) * o + wp.dot(v, n) * n)
 
 
+@wp.func
+def inside_rim(
+    i: int,
+    p: wp.vec3,
+    anchors: wp.array(dtype=wp.vec3),
+    outward: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    n_e: int,
+) -> wp.vec3:
+    """What puts point p back onto the rim, by the boundary particles of row i; nothing where p has not crossed it."""
+    nearest = float(1.0e30)
+    depth = float(0.0)
+    across = wp.vec3()
+    for k in range(rows.start[i], rows.stop[i]):
+        b = rows.index[k] - n_e
+        if b >= 0:
+            d = p - anchors[b]
+            distance = wp.length_sq(d)
+            beyond = wp.dot(d, outward[b])
+            # Boundary particles beyond a corner share it as their anchor: the one that looks towards p counts.
+            if distance < nearest or (distance == nearest and beyond > depth):
+                nearest = distance
+                across = outward[b]
+                depth = beyond
+    return -wp.max(depth, 0.0) * across
+
+
 @wp.kernel
 def confine_l(
     anchors: wp.array(dtype=wp.vec3),
@@ -63,23 +90,7 @@ def confine_l(
     i = rows.first + wp.tid()
     if rows.stop[i] == rows.start[i] or rows.index[rows.stop[i] - 1] < n_e:
         return
-    p = x_l[i]
-    nearest = float(1.0e30)
-    depth = float(0.0)
-    across = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        b = rows.index[k] - n_e
-        if b >= 0:
-            d = p - anchors[b]
-            distance = wp.length_sq(d)
-            beyond = wp.dot(d, outward[b])
-            # Boundary particles beyond a corner share it as their anchor: the one that looks towards the L counts.
-            if distance < nearest or (distance == nearest and beyond > depth):
-                nearest = distance
-                across = outward[b]
-                depth = beyond
-    if depth > 0.0:
-        x_l[i] = p - depth * across
+    x_l[i] = x_l[i] + inside_rim(i, x_l[i], anchors, outward, rows, n_e)
 
 
 @wp.kernel

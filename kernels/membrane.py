@@ -108,10 +108,17 @@ def load_membrane_e(
 
 
 @wp.kernel
-def explicit_response_e(b: wp.array(dtype=float), diag: wp.array(dtype=float), x: wp.array(dtype=float)):
-    """Velocity change of the paper's explicit scheme, load over mass. [n_e], m/s."""
+def explicit_response_e(
+    b: wp.array(dtype=float),
+    diag: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    lumped: float,
+    # outputs
+    x: wp.array(dtype=float),
+):
+    """Velocity change of the paper's explicit scheme, load over mass with `lumped` kg/m^2 of air. [n_e], m/s."""
     i = wp.tid()
-    x[i] = b[i] / diag[i]
+    x[i] = b[i] / (diag[i] + lumped * area[i])
 
 
 @wp.kernel

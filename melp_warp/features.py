@@ -17,12 +17,13 @@ class Features:
         moving: the surface moves (normal dynamics, E advance and redistribution).
         lagrangian: there are L: transfers, tangential dynamics, L advance.
         rim: there are boundary particles.
-        marangoni: there is surfactant, so (14) is solved.
+        marangoni: there is surfactant, so (14) takes part.
         viscous: in-plane viscosity.
         recoils: the film is closed and its uneven tension pushes liquid along it, so it moves the other way.
         air: the air's added mass takes part in the normal motion.
         exchanges: L cross between films that touch.
         foam: there are several regions, or walls, to touch.
+        single: E are all particles there are, and carry the film along (`SingleLayer`).
     """
 
     closed: bool
@@ -35,13 +36,15 @@ class Features:
     air: bool
     exchanges: bool
     foam: bool
+    single: bool
 
     @classmethod
     def of(cls, scene: Scene) -> Features:
         """Derive the features of a scene."""
         lagrangian = scene.l_per_e > 0
         moving = not scene.shape.flat
-        marangoni = lagrangian and scene.material.surfactant > 0.0
+        single = scene.numerics.layers == 1
+        marangoni = (lagrangian or single) and scene.material.surfactant > 0.0
         foam = isinstance(scene.shape, Cluster)
         return cls(
             closed=scene.shape.closed,
@@ -50,9 +53,10 @@ class Features:
             rim=not scene.shape.closed,
             marangoni=marangoni,
             recoils=marangoni and scene.shape.closed and not foam,
-            viscous=lagrangian and scene.material.viscosity > 0.0,
+            viscous=(lagrangian or single) and scene.material.viscosity > 0.0,
             exchanges=lagrangian and foam and scene.numerics.exchange > 0.0,
             foam=foam,
+            single=single,
             air=moving and scene.surroundings.air == "added_mass",
         )
 
@@ -62,13 +66,14 @@ class Features:
             **dict.fromkeys(("neighbors", "geometry", "cells", "gas", "diagnostics", "surfactant", "transfer"), True),
             "forces": True,
             "lanes": True,
-            "linear": self.moving or self.marangoni or self.viscous,
-            "advance": self.moving or self.lagrangian,
+            "linear": self.moving or (self.lagrangian and (self.marangoni or self.viscous)),
+            "advance": True,
             "redistribute": self.moving,
             "membrane": self.moving and not self.foam,
             "motion": self.moving,
             "homes": self.lagrangian,
             "boundary": self.rim,
+            "single_layer": self.single,
             "foam": self.foam,
             "contact": self.foam,
             "lines": self.foam,

@@ -88,8 +88,7 @@ class AirResponse:
         self.load, self.unit = _Pair(film), _Pair(film)
         self.diag = film.zeros(n)
         self.mean = wp.full(1, film.material.areal_mass, dtype=wp.float32, device=film.device)
-        longest = film.radius if np.isfinite(film.radius) else np.sqrt(film.spacing**2 * n / np.pi)
-        self.low = 2.0 / longest**2
+        self.low = 2.0 / _size(film) ** 2
         self.poles = air.fit_poles(
             self.low, 4.0 * (np.pi / film.spacing) ** 2, film.surroundings.air_density, film.radius
         )
@@ -127,6 +126,11 @@ class AirResponse:
         return self.solver.report(self._load_scalar)
 
 
+def _size(film: Film) -> float:
+    """Radius of a closed film, and of the disc of the area of an open one, m."""
+    return film.radius if np.isfinite(film.radius) else film.spacing * float(np.sqrt(film.n_e / np.pi))
+
+
 def _shortest_wave_speed(film: Film) -> float:
     """Speed of a wave of two spacings, m/s."""
     mass = film.material.areal_mass
@@ -147,6 +151,7 @@ class Membrane:
             grow. So theta rises to 1 where the shortest wave runs more than `MIDPOINT_CFL` spacings in a step.
         theta_whole: the same for the motion of the film as a whole, which has no stiffness.
         ahead: [1] theta dt, s: how far ahead the force is taken; 0 for the explicit scheme.
+        lumped: air that every wave of a single layer takes along, that of mode n = 2, kg/m^2.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [1] velocity of the film as a whole at the start of the step, m/s.
         frame: [1] the same in the step; that of its end is `State.motion`.
@@ -164,9 +169,9 @@ class Membrane:
     ):
         self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
         self.forces, self.rim = forces, rim
-        self.midpoint = film.numerics.scheme == "trapezoid"
+        self.explicit = film.numerics.scheme == "explicit" or film.features.single
+        self.midpoint = film.numerics.scheme == "trapezoid" and not self.explicit
         self.theta = self.theta_whole = 0.5 if self.midpoint else 1.0
-        self.explicit = film.numerics.scheme == "explicit"
         self._wave_speed = _shortest_wave_speed(film)
         n = film.n_e
         self.predicted = film.zeros(film.total, wp.vec3)
@@ -179,12 +184,15 @@ class Membrane:
         self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
         self.net, self.net_external = film.parts(wp.vec3), film.parts(wp.vec3)
         self.swept = film.parts(wp.vec3d)
+        self.added = self.lumped = 0.0
         if film.features.air:
-            self.response = AirResponse(film, state, lists, geometry)
             self.added = air.rigid_added_mass(film.surroundings.air_density, film.radius)
+        if film.features.air and film.features.single:
+            self.lumped = float(air.added_mass(6.0 / _size(film) ** 2, film.surroundings.air_density, film.radius))
+        if film.features.air and not self.explicit:
+            self.response = AirResponse(film, state, lists, geometry)
         else:
             self.response = FilmResponse(film, lists, geometry)
-            self.added = 0.0
         self._added = wp.full(film.regions, self.added, dtype=wp.float32, device=film.device)
         self.ahead, self._theta, self._recoil = (Setting(film.device) for _ in range(3))
 
@@ -217,6 +225,10 @@ class Membrane:
             [self.state.e.normal, change, unit, self.state.gas, self.rigid, self._theta.array, self.theta_whole, dt],
             [self.state.e.u, self.u_mid],
         )
+
+    def wave_speed(self, mass: float) -> float:
+        """Speed of waves across the explicit film where it has the mass per area `mass` (kg/m^2), m/s."""
+        return float(np.sqrt(2.0 * self.film.material.tension / (mass + self.lumped)))
 
     def start_motion(self) -> None:
         """Take the translation of the film at the start of a run from its velocity."""
@@ -284,7 +296,9 @@ class Membrane:
     def _respond(self) -> tuple[wp.array, wp.array]:
         if self.explicit:
             for pair in (self.response.load, self.response.unit):
-                self.film.launch_e(km.explicit_response_e, [pair.b, self.response.diag], [pair.x])
+                self.film.launch_e(
+                    km.explicit_response_e, [pair.b, self.response.diag, self.geometry.area, self.lumped], [pair.x]
+                )
             return self.response.load.x, self.response.unit.x
         return self.response.solve()
 

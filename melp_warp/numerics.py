@@ -11,6 +11,7 @@ from melp_warp.errors import require
 SCHEMES = ("backward_euler", "trapezoid", "explicit")
 OPERATORS = ("mls", "sph")
 SOLVERS = ("cg", "jacobi")
+GRADIENTS = ("difference", "symmetric")
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,8 @@ class Numerics:
     """How the equations are discretised and solved.
 
     Attributes:
+        layers: 2 for MELP, E and L; 1 for a single layer of E that carries the film and moves with it by explicit SPH
+            (docs/single-layer.md). It has no L, no solves and no redistribution: what says how to do them has no part.
         support: kernel support radius r in E spacings (the paper has 4: see docs/accuracy.md).
         scheme: normal dynamics: "backward_euler" (damps), "trapezoid" (second order, keeps oscillations; taken as the
             implicit midpoint rule, with which it coincides for linear forces) or "explicit" (the paper's symplectic
@@ -26,7 +29,8 @@ class Numerics:
         solver: "cg" or "jacobi" (the paper's relaxed sweeps) for the surfactant equation (14).
         tolerance: relative residual at which conjugate gradients stop.
         max_iterations: iterations or sweeps at which a solve stops.
-        cfl: largest displacement of a particle in a step, in E spacings, where the scene sets no dt.
+        cfl: largest displacement of a particle in a step, in E spacings, where the scene sets no dt; in a single layer
+            that of a particle and of the fastest wave together, always.
         l_order: order in time of the L advance, 1 or 2.
         affinity: share of the affine part in the transfer from L to E (7): 1 for APIC (Jiang et al. 2015), 0 for PIC.
         flip: share that L keep of their own velocity's departure from that of the E around them: with it u_L becomes
@@ -35,12 +39,16 @@ class Numerics:
         skin: neighbour-list skin in E spacings: lists live until particles have moved half of it.
         redistribution: strength of the E redistribution (20), 0 for none.
         spread: (delta_max - delta_min)/delta_mean below which E are left alone.
-        xsph: XSPH smoothing of the tangential E velocity, 0 to 1 (the paper's 0.99).
+        xsph: XSPH smoothing of the tangential E velocity, 0 to 1 (the paper's 0.99). E have no flow to lose by it, but
+            for a single layer it is the artificial viscosity of the flow.
+        gradient: Marangoni force of a single layer: "difference", the paper's (21), or "symmetric" in pairs, which
+            keeps momentum and energy, but takes the noise of an uneven arrangement for a pressure.
         border: gap within which films of a foam cling to each other, in E spacings; lines are about as wide.
         exchange: rate psi at which L cross between films that touch, (27) and (28), 1/s.
         thickness_time: time in which eta_L relaxes to agree with eta_E, s.
     """
 
+    layers: int = 2
     support: float = 3.0
     scheme: str = "backward_euler"
     curvature: str = "mls"
@@ -55,6 +63,7 @@ class Numerics:
     redistribution: float = 1.0
     spread: float = 0.02
     xsph: float = 0.99
+    gradient: str = "difference"
     border: float = 1.0
     exchange: float = 0.0
     thickness_time: float = 0.1
@@ -65,9 +74,11 @@ class Numerics:
             ok = isinstance(value, (int, float)) and np.isfinite(value) and low <= value <= high
             require(ok, name, value, f"a number from {low:g} to {high:g}")
 
+        require(self.layers in (1, 2), "layers", self.layers, "1 or 2")
         number("support", 2.0, 8.0)
         require(self.scheme in SCHEMES, "scheme", self.scheme, f"one of {', '.join(SCHEMES)}")
         require(self.curvature in OPERATORS, "curvature", self.curvature, f"one of {', '.join(OPERATORS)}")
+        require(self.gradient in GRADIENTS, "gradient", self.gradient, f"one of {', '.join(GRADIENTS)}")
         require(self.solver in SOLVERS, "solver", self.solver, f"one of {', '.join(SOLVERS)}")
         number("tolerance", 1e-7, 0.1)
         require(

@@ -11,7 +11,7 @@ import numpy as np
 
 from melp_warp.errors import InputError, require
 from melp_warp.material import AIR_MODELS, Material, Surroundings
-from melp_warp.numerics import OPERATORS, SCHEMES, SOLVERS, Numerics
+from melp_warp.numerics import GRADIENTS, OPERATORS, SCHEMES, SOLVERS, Numerics
 from melp_warp.scene import Scene
 from melp_warp.shapes import Shape
 
@@ -166,6 +166,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "fps": _positive("1/s", "frames per simulated second", 1e6),
         "dt": Key("s", "largest time step (auto: set by cfl)", 0.0, 1.0, above=True, auto=True),
         # numerics
+        "layers": _count("2 for MELP; 1 for one layer of e_count particles by explicit SPH, without L", 1, 2),
         "support": Key("spacings", "kernel support radius, in E spacings", 2.0, 8.0),
         "scheme": Key("-", "time stepping of the normal motion", choices=SCHEMES),
         "curvature": Key("-", "curvature operator", choices=OPERATORS),
@@ -180,7 +181,8 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "redistribution": Key("-", "strength of the E redistribution (0: none)", 0.0, 1.0),
         "spread": Key("-", "relative spread of E density that is left alone", 0.0, 10.0),
         "border": Key("spacings", "gap within which films cling to each other", 0.5, 4.0),
-        "xsph": Key("-", "smoothing of the E velocity along the film", 0.0, 1.0),
+        "xsph": Key("-", "smoothing of the E velocity along the film, a step", 0.0, 1.0),
+        "gradient": Key("-", "Marangoni force of a single layer", choices=GRADIENTS),
         "thickness_time": Key("s", "time in which L thickness relaxes to E thickness", 1e-6, 1e6),
     }
 )
@@ -188,7 +190,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
 
 _MATERIAL = tuple(f.name for f in fields(Material))
 _FOAM_NUMERICS = ("border", "exchange")
-_SINGLE_FILM_NUMERICS = ("scheme", "curvature")
+_SINGLE_FILM_NUMERICS = ("layers", "scheme", "curvature", "gradient")
 _NUMERICS = tuple(f.name for f in fields(Numerics) if f.name not in _FOAM_NUMERICS)
 _SURROUNDINGS = ("pressure", "air", "air_density", "drag")
 _RUN = ("e_count", "l_per_e", "seed", "frames", "fps", "dt")

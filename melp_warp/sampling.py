@@ -16,6 +16,7 @@ from melp_warp.kernels import transfer as kt
 from melp_warp.launch import compile_kernels
 from melp_warp.scene import Scene
 from melp_warp.shapes import Samples
+from melp_warp.single_layer import make_stepper
 from melp_warp.state import GAS_SLOTS, EulerianState, LagrangianState, State, allocate, state_origin
 from melp_warp.stepper import Stepper
 
@@ -25,6 +26,11 @@ EVEN_ENOUGH = 0.5
 """(delta_max - delta_min)/delta_mean of E at which a start that takes more steps to even out is good enough."""
 
 AREA_STEPS = 4
+
+SUM_STEPS = 4
+
+SINGLE_ROOM = 2.0
+"""Room of the lists of a single layer over that of MELP: where a film gets thicker, its particles get denser."""
 
 FAR = 4.0
 """Distance of a film from the origin, in its own sizes, from which on positions are measured from the film."""
@@ -161,7 +167,7 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     features = Features.of(scene)
     compile_kernels(features.kernels(), device)
     require(
-        features.moving or features.lagrangian,
+        features.moving or features.lagrangian or features.single,
         "l_per_e",
         scene.l_per_e,
         "at least 1 for a flat film, which has no normal motion",
@@ -170,14 +176,15 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     lagrangian = _l_state(scene, e.count, spacing, origin, device)
     labels = scene.shape.initial if features.foam else (0,)
     film, state = _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, device)
+    if features.single:
+        film.room *= SINGLE_ROOM
     if features.closed:
         film.radius = float(np.sqrt(scene.shape.area / (4.0 * np.pi)))
-    stepper = Stepper(film, state)
     if features.moving:
-        _relax(scene, stepper)
+        _relax(scene, Stepper(film, state))
         if features.closed:
             film.radius = float(np.cbrt(3.0 * state.gas.numpy()[0, 0] / (4.0 * np.pi)))
-        stepper = Stepper(film, state)
+    stepper = make_stepper(film, state)
     _set_masses(scene, stepper)
     if features.closed:
         _fill_gas(film, stepper)
@@ -275,6 +282,8 @@ def _relax(scene: Scene, stepper: Stepper) -> None:
 def _set_masses(scene: Scene, stepper: Stepper) -> None:
     """Give every particle its area's share of liquid and surfactant."""
     film, state = stepper.film, stepper.state
+    if film.features.single:
+        _share_sums(stepper)
     if state.l is None:
         points = state.e.x.numpy()[: film.n_e] + state.origin
         own = _own_thickness(scene, state.e.region.numpy()[: film.n_e])
@@ -346,6 +355,18 @@ def _share_area(stepper: Stepper) -> None:
         settings = [none, transfer.claim, geometry.area, no_time, at_once, 0.0, math.inf]
         film.launch_e(kt.thickness_growth_e, settings, [transfer.growth])
         transfer.gather_to_l()
+
+
+def _share_sums(stepper: Stepper) -> None:
+    """Give the particles of a single layer such areas that an even film is summed to an even one."""
+    film, e, geometry, fields = stepper.film, stepper.state.e, stepper.geometry, stepper.fields
+    cells = geometry.cell.numpy().astype(np.float64)
+    area = cells.copy()
+    for _ in range(SUM_STEPS):
+        e.mass.assign(film.material.areal_mass * area)
+        fields.update()
+        area *= film.material.thickness / fields.eta.numpy()
+    geometry.area.assign(area * cells.sum() / area.sum())
 
 
 def _set_velocity(scene: Scene, stepper: Stepper) -> None:

@@ -28,7 +28,8 @@ class Scene:
         name: short name, used in file names and messages.
         shape: the film's geometry, which samples the particles.
         e_count: number of Eulerian particles wanted (the shape may round it, see `Shape.sample`).
-        l_per_e: Lagrangian particles per Eulerian particle; 0 for an E-only scene.
+        l_per_e: Lagrangian particles per Eulerian particle; 0 for an E-only scene, and as which it is taken
+            in a single layer.
         material: the liquid.
         surroundings: gravity, air, pressure.
         thickness: eta(x) in m; None for `material.thickness` everywhere.
@@ -66,6 +67,8 @@ class Scene:
         allowed = f"at least {least:.3g} s, {MOST_STEPS:,} steps a frame"
         require(self.dt is None or self.dt >= least, "dt", self.dt, allowed)
         require(isinstance(self.seed, int) and self.seed >= 0, "seed", self.seed, "a whole number >= 0")
+        if self.numerics.layers == 1:
+            object.__setattr__(self, "l_per_e", 0)
         closed = self.shape.closed
         require(closed or self.surroundings.lift == 0.0, "lift", self.surroundings.lift, "0 for an open film")
         if isinstance(self.shape, Cluster):
@@ -77,6 +80,7 @@ class Scene:
     def _check_foam(self) -> None:
         """Refuse what a foam has no use for, rather than leave it out in silence."""
         numerics, lift = self.numerics, self.surroundings.lift
+        require(numerics.layers == 2, "layers", numerics.layers, "2 for a foam")
         require(numerics.scheme == "backward_euler", "scheme", numerics.scheme, "backward_euler for a foam")
         require(numerics.curvature == "mls", "curvature", numerics.curvature, "left at mls for a foam, which uses none")
         require(lift == 0.0, "lift", lift, "0 for a foam")

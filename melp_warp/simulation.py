@@ -19,6 +19,7 @@ from melp_warp.kernels import diagnostics as kd
 from melp_warp.launch import launch
 from melp_warp.sampling import FAR, make_film, resume
 from melp_warp.scene import MOST_STEPS, Scene
+from melp_warp.single_layer import make_stepper
 from melp_warp.state import GAS_SLOTS, Snapshot
 from melp_warp.stepper import STAGES, Stepper
 from melp_warp.surgery import Stored
@@ -221,7 +222,7 @@ class Simulation:
     def _renew(self) -> None:
         """Make anew what the stages keep between steps (lists, fits, first guesses) from the state, which stays."""
         film, kept, area = self.film, Snapshot(self.state), self.stepper.geometry.area
-        self.stepper = Stepper(film, self.state)
+        self.stepper = make_stepper(film, self.state)
         if film.features.foam:
             self.stepper.fields.update()
             self.stepper.membrane.start_motion()
@@ -271,10 +272,13 @@ class Simulation:
     def largest_step(self) -> float:
         """The scene's dt, or the step in which the fastest particle moves `cfl` spacings, s.
 
+        A single layer is limited by its waves besides, see `SingleLayer.longest_step`.
         Where the scene sets no dt, the first step is that of the fastest wave on the film and a step is at most twice
         the one before: at the start nothing has moved yet.
         """
         limit = min(1.0 / self.scene.fps, self._cap)
+        if self.film.features.single:
+            limit = min(limit, self.stepper.longest_step(self._fastest()))
         if self.scene.dt is not None:
             return min(limit, self.scene.dt)
         if self.film.features.foam:

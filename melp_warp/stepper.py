@@ -53,7 +53,7 @@ class Stepper:
         f = film.features
         self.lists = NeighborLists(film, state)
         self.geometry = Geometry(film, state, self.lists)
-        self.fields = Fields(film, state, self.geometry)
+        self.fields = self._make_fields()
         self.forces = Forces(film, state)
         self.rim = Rim(film, state, self.lists, self.geometry) if f.rim else None
         self.transfer = Transfer(film, state, self.lists, self.geometry) if f.lagrangian else None
@@ -84,6 +84,9 @@ class Stepper:
         self._graphs = [Recorded(run, film.device, rows) for run in (self._move, self._follow)]
         self.geometry.update()
 
+    def _make_fields(self) -> Fields:
+        return Fields(self.film, self.state, self.geometry)
+
     def _make_membrane(self) -> Membrane | FoamMembrane:
         common = [self.film, self.state, self.lists, self.geometry, self.fields, self.forces]
         return FoamMembrane(*common) if self.film.features.foam else Membrane(*common, self.rim)
@@ -108,7 +111,7 @@ class Stepper:
         move, follow = self._graphs if self.whole else (self._move, self._follow)
         self._timed("neighbors", self._find_neighbors)
         move()
-        if self.film.features.moving:
+        if self.film.features.moving or self.film.features.single:
             self._timed("geometry", self.lists.update_e)
         follow()
         self.lists.look(dt)

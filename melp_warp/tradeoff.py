@@ -64,6 +64,12 @@ KNOBS: Mapping[str, Mapping[str, Quality]] = MappingProxyType(
         },
         "redistribution": _keys({"redistribution": 0.0}, {"redistribution": 0.5}),
         "precision": _keys({"precision": 64}),
+        "layers": {
+            "1, as many as E": Quality(step=0.125, keys={"layers": 1}),
+            "1, four an E": Quality(e=4.0, step=0.125, keys={"layers": 1}),
+            "1, four an E, symmetric": Quality(e=4.0, step=0.125, keys={"layers": 1, "gradient": "symmetric"}),
+            "1, four an E, xsph 0": Quality(e=4.0, step=0.125, keys={"layers": 1, "xsph": 0.0}),
+        },
     }
 )
 """Knob -> label -> the point; what is not said is as the case has it."""
@@ -83,6 +89,7 @@ MEANING: Mapping[str, str] = MappingProxyType(
         "transfer": "transfer between E and L",
         "redistribution": "strength of the E redistribution",
         "precision": "bits of a number",
+        "layers": "one layer in place of two, explicit, in steps of an eighth; the cases have four L an E",
     }
 )
 
@@ -221,7 +228,7 @@ def _double_bubble(e_count: int, l_per_e: int, dt: None, **_) -> tuple[float, di
     return found["error"], {**took, "mass_error": 0.0, "volume_error": found["volume_drift"]}
 
 
-_FLOW = ("e", "l", "step", "support", "tolerance", "solver", "skin", "l_order", "transfer", "precision")
+_FLOW = ("e", "l", "step", "support", "tolerance", "solver", "skin", "l_order", "transfer", "precision", "layers")
 
 CASES: Mapping[str, Case] = MappingProxyType(
     {
@@ -470,7 +477,7 @@ def scene_study(script: SceneScript, overrides: Mapping[str, Value], e_count: in
     points += [("quality", name, quality) for name, quality in QUALITIES.items() if name != "standard"]
     for knob, setting, quality in points:
         changes = quality.apply(own)
-        if knob and not changes:
+        if knob and (not changes or (knob == "layers" and "layers" not in changes)):
             continue
         record = Record(script.name, knob, setting, changes)
         try:

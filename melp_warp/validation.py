@@ -80,8 +80,13 @@ def e_area(simulation: Simulation) -> np.ndarray:
 
 
 def l_array(simulation: Simulation, name: str) -> np.ndarray:
-    """An array of the L state as float64."""
-    return getattr(simulation.state.l, name).numpy().astype(np.float64)
+    """An array of the L state as float64; that of E in a single layer, where they carry the film."""
+    if simulation.has_l:
+        return getattr(simulation.state.l, name).numpy().astype(np.float64)
+    if name == "eta":
+        return e_thickness(simulation)
+    of_e = getattr(simulation.state.e, "u" if name == "v" else name)
+    return of_e.numpy()[: simulation.film.n_e].astype(np.float64)
 
 
 def cost(simulation: Simulation) -> dict:
@@ -886,7 +891,9 @@ def equilibrium(e_count: int = 1050, l_per_e: int = 16, duration: float = 5.0, *
 
 
 def _curl(simulation: Simulation) -> np.ndarray:
-    """[n_l] vorticity at the L of a film in the xy plane, 1/s."""
+    """[n_l] vorticity at the L of a film in the xy plane, 1/s; nan in a single layer, which has no affine part."""
+    if not simulation.has_l:
+        return np.full(simulation.film.n_e, np.nan)
     affine = l_array(simulation, "affine")
     return affine[:, 1, 0] - affine[:, 0, 1]
 

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
-from rivals import EXPLICIT_TIME, explicit, gather_bare, gathers
+from rivals import EVEN_TIME, EXPLICIT_TIME, FLOW_TIME, bare, explicit, gather_bare, gathers, layers
 from scaling import cores, halo, memory, series, start
 
 from melp_warp import __version__
@@ -211,8 +211,38 @@ def rival_tables(rivals: dict) -> str:
         "One sum over the E:E list of the sphere:\n\n"
         f"{markdown(['what', 'ms', 'ns a pair', 'times ours'], gathers)}\n\n"
         f"A lone bubble of 2,000 E, no L, to {1e3 * EXPLICIT_TIME:g} ms of simulated time:\n\n"
-        f"{markdown(['step', 'dt, s', 's', 'times ours', 'largest speed, m/s'], steps)}"
+        f"{markdown(['step', 'dt, s', 's', 'times ours', 'largest speed, m/s'], steps)}\n\n"
+        f"{layer_tables(rivals['layers'], rivals['bare'])}"
     )
+
+
+def layer_tables(runs: list[dict], drag_free: list[dict]) -> str:
+    """Two layers against one after Table 4 of MELP 2022, and what a single one is stable by."""
+    rows = []
+    for r in runs:
+        rows.append([r["what"], f"{r['to']:g}", f"{r['particles']:,}", f"{r['cfl']:g}", f"{r['ms']:.1f}"])
+        rows[-1] += [str(r["steps"]), f"{r['seconds']:.2f}", f"{100 * r['end']:.2f} %", yes(r["stable"])]
+        rows[-1].append(f"{r['weaker']:.2f}")
+    head = ["method", "to, s", "particles", "CFL", "ms a step", "steps", "s", "uneven at the end", "stable"]
+    head.append("s, tension 0.1 x")
+    why = []
+    for r in drag_free:
+        why.append([r["force"], f"{r['xsph']:g}", r["by"], f"{r['cfl']:g}", str(r["steps"])])
+        end = f"{100 * r['end']:.1f} %" if math.isfinite(r["end"]) else f"stops at {r['reached']:.2g} s"
+        why[-1] += [end, yes(r["stable"])]
+    return (
+        f"The disc of `equilibrium`, {100 * runs[0]['start']:.1f} % uneven at the start, in two layers and in one\n"
+        f"(`layers=1`), to {EVEN_TIME:g} s and, with the particles of the paper's flow, to {FLOW_TIME:g} s:\n\n"
+        f"{markdown(head, rows)}\n\n"
+        f"A single layer of {drag_free[0]['particles']:,} particles on that disc without the air's drag, to "
+        f"{EVEN_TIME:g} s; it is stable\nif it gets there, less uneven than it was:\n\n"
+        + markdown(["Marangoni force", "xsph", "CFL counts", "CFL", "steps", "uneven at the end", "stable"], why)
+    )
+
+
+def yes(true: bool) -> str:
+    """In a word."""
+    return "yes" if true else "no"
 
 
 def start_table(made: list[dict]) -> str:
@@ -274,12 +304,20 @@ def write_pages(folder: Path, made: dict, old: dict[str, dict]) -> None:
     put(folder / "scaling.md", f"{what}\n\n{scaling_tables(made['scaling'])}")
 
 
+def evening_disc(**keys) -> Scene:
+    """The scene `equilibrium` with some keys of its own."""
+    script = load_scene("equilibrium")
+    return script.build(script.parameters.values(keys))
+
+
 def run_rivals(device: str) -> dict:
-    """The gather by other means on a film of 20,480 E, and the explicit step on one of 2,000."""
+    """The gather by other means on a film of 20,480 E, the explicit step on one of 2,000, and the single layer."""
     sim = Simulation(oscillating_sphere(20480), device)
     return {
         "gathers": gathers(sim),
         "explicit": explicit(lambda numerics: oscillating_sphere(2000, numerics), device, 3.5e-4),
+        "layers": layers(evening_disc, device),
+        "bare": bare(evening_disc, device),
     }
 
 

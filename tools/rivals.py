@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from melp_warp.errors import SimulationError
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.rows import weigh_row
 from melp_warp.kernels.sph import kernel_w
@@ -20,6 +21,23 @@ from melp_warp.simulation import Simulation
 
 EXPLICIT_TIME = 28e-3
 """Simulated time to which the explicit and the implicit step are run, s."""
+
+EVEN_TIME, FLOW_TIME = 0.3, 0.1
+"""Simulated times to which an uneven disc is let even out, and the same with the particles of the paper's flow, s."""
+
+MELP = {"e_count": 1050, "l_per_e": 16}
+SINGLE = {"e_count": 4200, "layers": 1}
+FINER = {"e_count": 2100, "l_per_e": 8, "dt": 1e-3, "tolerance": 1e-6}
+"""The disc of MELP 2022, Table 4, in two layers and in one; and in two in steps a thirtieth as long."""
+
+BARE = {"e_count": 1050, "layers": 1, "drag": 0.0}
+"""The disc without the air's drag, which the paper's film does not have."""
+
+WEAKER = 0.1
+"""What the paper multiplies the tension of its single layer by."""
+
+MOST_STEPS = 5000
+"""Steps after which a run whose step follows from speeds alone is given up."""
 
 TAME = 2.0
 """A run is unstable when its largest speed exceeds that of the implicit one by this factor."""
@@ -189,3 +207,99 @@ def explicit(make: Callable[[Numerics], Scene], device: str, dt: float) -> list[
         if np.isfinite(reached) and reached < TAME * speed:
             return [*made, {"what": "explicit", "dt": small, "seconds": seconds, "max_speed": reached}]
     raise ArithmeticError(f"the explicit step is unstable down to {small:g} s")
+
+
+def deviation(sim: Simulation) -> float:
+    """Deviation of the thickness, relative to its mean."""
+    found = sim.diagnostics()
+    return found["thickness_std"] / found["thickness_mean"]
+
+
+def even_out(scene: Scene, device: str, duration: float, by_speed: bool = False) -> dict:
+    """Run a scene to `duration` (s): what it took, and how uneven the film is then against the start.
+
+    Args:
+        scene: what to run.
+        device: where.
+        duration: simulated time, s.
+        by_speed: whether the step is that of the fastest particle alone, as Wang et al. 2021 count it, no wave's.
+    """
+    sim = Simulation(scene, device)
+    start = deviation(sim)
+    try:
+        if by_speed:
+            step_by_speed(sim, duration)
+        while sim.time < duration - 1e-9:
+            sim.advance_frame()
+        end = deviation(sim)
+    except SimulationError:
+        end = float("inf")
+    seconds = sim.step_seconds[1:] or sim.step_seconds  # the first loads what a step needs
+    return {
+        "particles": sim.film.n_e + sim.film.n_l,
+        "cfl": scene.numerics.cfl,
+        "ms": 1e3 * statistics.fmean(seconds),
+        "steps": len(sim.step_seconds),
+        "seconds": len(sim.step_seconds) * statistics.fmean(seconds),
+        "start": start,
+        "end": end,
+        "reached": sim.time,
+        "stable": end < start,
+    }
+
+
+def step_by_speed(sim: Simulation, duration: float) -> None:
+    """Take steps in which the fastest particle moves `cfl` spacings, as two layers take them, up to `duration` (s).
+
+    Raises:
+        SimulationError: the state broke, or more than MOST_STEPS are wanted.
+    """
+    reach = sim.scene.numerics.cfl * sim.film.spacing
+    dt = reach / sim.stepper.wave_speed
+    while sim.time < duration - 1e-9:
+        sim.step(min(dt, duration - sim.time))
+        sim.stepper.check()
+        if len(sim.step_seconds) > MOST_STEPS:
+            raise SimulationError(f"steps of {dt:.3g} s")
+        dt = min(2.0 * dt, reach / max(sim.diagnostics()["max_speed"], 1e-9), 1.0 / sim.scene.fps)
+
+
+def layers(make: Callable[..., Scene], device: str) -> list[dict]:
+    """Table 4 of MELP 2022: two layers against one, with the real tension and with a tenth of it.
+
+    Args:
+        make: from keys of `equilibrium` to the scene.
+        device: where to run.
+    """
+    paper_flow = {"e_count": 6900, "l_per_e": 16}
+    runs = [("MELP", EVEN_TIME, MELP), ("MELP, finer", EVEN_TIME, FINER)]
+    runs += [("single layer", EVEN_TIME, {**SINGLE, "cfl": cfl}) for cfl in (0.99, 0.33, 0.1, 0.033)]
+    runs += [("MELP", FLOW_TIME, paper_flow), ("single layer", FLOW_TIME, {"e_count": 40000, "layers": 1})]
+    made = []
+    for what, duration, keys in runs:
+        tension = make(**keys).material.tension
+        surfactant = make(**keys).material.surfactant
+        weak = {**keys, "tension": WEAKER * tension, "surfactant": WEAKER * surfactant}
+        real = even_out(make(**keys), device, duration)
+        made.append(
+            {"what": what, "to": duration, **real, "weaker": even_out(make(**weak), device, duration)["seconds"]}
+        )
+    return made
+
+
+def bare(make: Callable[..., Scene], device: str) -> list[dict]:
+    """A single layer without drag: what keeps it stable, and what does not."""
+    runs = [
+        ("difference", "waves", 0.33, 0.0),
+        ("difference", "waves", 0.033, 0.0),
+        ("difference", "waves", 0.99, 0.99),
+        ("difference", "speeds", 0.99, 0.99),
+        ("difference", "speeds", 0.033, 0.99),
+        ("symmetric", "waves", 0.33, 0.0),
+        ("symmetric", "waves", 0.99, 0.99),
+    ]
+    return [
+        {"force": force, "xsph": xsph, "by": by}
+        | even_out(make(**BARE, gradient=force, cfl=cfl, xsph=xsph), device, EVEN_TIME, by == "speeds")
+        for force, by, cfl, xsph in runs
+    ]

@@ -10,7 +10,8 @@ import melp_warp
 from melp_warp import kernels
 
 FILES = [Path(kernels.__path__[0]) / f"{info.name}.py" for info in pkgutil.iter_modules(kernels.__path__)]
-STAGES = ("advance", "boundary", "foam", "forces", "geometry", "membrane", "redistribute", "surfactant", "transfer")
+STAGES = ("advance", "boundary", "foam", "forces", "geometry", "membrane", "redistribute", "single_layer")
+STAGES += ("surfactant", "transfer")
 SUFFIXES = ("_e", "_l", "_b", "_r", "_chunks")
 
 

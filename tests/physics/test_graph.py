@@ -53,6 +53,15 @@ SCENES = {
     "midpoint": (Sphere(R), 300, 4, {"velocity": swirl}, {"scheme": "trapezoid", "l_order": 2, "flip": 0.5}, 5e-4),
     "open": (Disc(R), 300, 4, {"velocity": whirl, "material": Material(viscosity=1e-5)}, {"solver": "jacobi"}, 3e-4),
     "without L": (StarShaped(R, oval), 400, 0, {"material": Material(surfactant=0.0)}, {}, 5e-4),
+    "one layer, open": (
+        Disc(R),
+        400,
+        0,
+        {"velocity": whirl, "material": Material(viscosity=1e-5)},
+        {"layers": 1},
+        3e-4,
+    ),
+    "one layer, closed": (Sphere(R), 400, 0, {"velocity": swirl, "surroundings": AIR}, {"layers": 1}, 3e-4),
     "two bubbles": (row(2), 400, 4, {}, FOAM, 5e-4),
     "three bubbles": (row(3), 600, 0, {"surroundings": AIR}, {"support": 3.0}, 5e-4),
 }
