@@ -97,3 +97,17 @@ def test_only_launch_launches():
         if path.stem not in ("launch", "preview"):
             for call in ("wp.launch(", "wp.capture_", "wp.ScopedCapture", "wp.utils."):
                 assert call not in path.read_text(), f"{path.stem} calls {call} by itself"
+
+
+def test_stages_copy_by_launch():
+    """Within a sequence that each core records, one core alone copies and clears: `launch.copy`, `launch.clear`.
+
+    Lists are built, and films set up, outside of any.
+    """
+    package = Path(melp_warp.__file__).parent
+    stages = [path for path in sorted(package.glob("*.py")) if "launch_e(" in path.read_text()]
+    assert len(stages) > 8
+    for path in stages:
+        if path.stem not in ("neighbors", "sampling"):
+            for call in ("wp.copy(", ".zero_()", ".fill_("):
+                assert call not in path.read_text(), f"{path.stem} calls {call} by itself"
