@@ -14,6 +14,7 @@ from weakref import WeakMethod
 
 import warp as wp
 
+from melp_warp.interrupt import finish_first
 from melp_warp.kernels.lanes import meet
 from melp_warp.kernels.neighbors import Neighbors
 
@@ -330,8 +331,8 @@ class Recorded:
 
 
 def _run_together(graphs: Sequence[wp.Graph]) -> None:
-    """Run graphs side by side, a CPU core each; they wait for each other, so that no others may get in between."""
-    with _team:
+    """Run graphs side by side, a CPU core each; they wait for each other, so that nothing may get in between."""
+    with _team, finish_first():
         others = [_pool.submit(wp.capture_launch, graph) for graph in graphs[1:]]
         wp.capture_launch(graphs[0])
         for other in others:

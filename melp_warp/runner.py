@@ -8,9 +8,7 @@ import json
 import logging
 import math
 import os
-import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -18,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from melp_warp.errors import InputError, SimulationError, require
+from melp_warp.interrupt import finish_first
 from melp_warp.parameters import Value
 from melp_warp.scene import Scene
 
@@ -226,14 +225,14 @@ class _Output:
             "parameters": {key: "auto" if value is None else value for key, value in plan.parameters.items()},
         }
         frame = simulation.particles(shown)
-        with _finish_first():
+        with finish_first():
             self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets), origin=frame.origin)
 
     def write(self, simulation: Simulation) -> dict:
         """Write the present frame and return its diagnostics."""
         diagnostics = simulation.diagnostics()
         sets: dict[str, ParticleFrame] = {which: simulation.particles(which) for which in set(self._sets.values())}
-        with _finish_first():
+        with finish_first():
             try:
                 self._cache.write(simulation.frame, {prim: sets[which] for prim, which in self._sets.items()})
             except SimulationError as error:
@@ -268,22 +267,6 @@ def _plain(value: object) -> object:
     if hasattr(value, "tolist"):
         return _plain(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-@contextlib.contextmanager
-def _finish_first() -> Iterator[None]:
-    """Hold Ctrl-C back until the block is done."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    pending = []
-    previous = signal.signal(signal.SIGINT, lambda *_: pending.append(True))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
-    if pending:
-        raise KeyboardInterrupt
 
 
 def _kept(folder: Path) -> str:

@@ -1,5 +1,7 @@
 """CPU cores that run a graph each and wait for each other do what one would."""
 
+import signal
+
 import numpy as np
 import pytest
 import warp as wp
@@ -85,6 +87,29 @@ def test_lanes_wait_for_each_other(inside, device, monkeypatch):
     for other in results[1:]:
         assert all(np.array_equal(one, two) for one, two in zip(results[0], other, strict=True))
     assert results[0][3][0] != 0
+
+
+def test_ctrl_c_waits_for_all_lanes(device, monkeypatch):
+    """Pressed when some cores have started and others have not, it comes when all are done, and nothing is lost."""
+    monkeypatch.setattr(launcher, "THREADS", 3)
+    works = [Work(device, "both") for _ in range(2)]
+    for work in works:
+        work.run()
+    replay, first = wp.capture_launch, works[0].run._graphs[0]
+
+    def press(graph):
+        if graph is first:
+            signal.raise_signal(signal.SIGINT)
+        replay(graph)
+
+    works[1].run()
+    with monkeypatch.context() as patch:
+        patch.setattr(wp, "capture_launch", press)
+        with pytest.raises(KeyboardInterrupt):
+            works[0].run()
+    for work in works:
+        work.run()
+    assert all(np.array_equal(one, two) for one, two in zip(*(work.numbers() for work in works), strict=True))
 
 
 def test_what_is_not_shared_wakes_no_core(device, monkeypatch):
