@@ -13,12 +13,6 @@ STEEPEST = wp.constant(4.0)
 
 
 @wp.func
-def quadratic_basis(u: float, v: float) -> vec5:
-    """(u, v, u^2, uv, v^2)."""
-    return vec5(u, v, u * u, u * v, v * v)
-
-
-@wp.func
 def fit_height(
     i: int,
     x: wp.array(dtype=wp.vec3),

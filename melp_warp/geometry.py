@@ -35,7 +35,8 @@ class Geometry:
         cell: [n_e] Voronoi areas, m^2.
         area: [n_e] control areas, m^2.
         density: [n_e] number density with boundary particles, 1/m^2.
-        near: [pairs] W of each pair of E, of which `density` is the sum, 1/m^2.
+        near: [pairs] W of each pair of E where they were at the last `update`, 1/m^2; room for such weights between
+            the move of E and the next one.
         kappa: [n_e] sum of principal curvatures at the place last asked for, 1/m.
         star: in foams, the neighbours across the edges of each Voronoi cell.
         tie: [CORNERS n_e] in foams, w_ij of the star's pairs, symmetric: sum_j w_ij (x_j - x_i) is minus the area's

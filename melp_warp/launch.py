@@ -131,7 +131,7 @@ _lane: _Lane | None = None
 """The lane that is being recorded."""
 
 
-def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None, least: int = ROWS_A_THREAD) -> None:
+def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None) -> None:
     """Launch `kernel` over `dim` threads; nothing happens for dim 0.
 
     On the CPU all cores share a kernel whose row is `rows.first + wp.tid()`, `rows` any of its neighbours: each is
@@ -144,7 +144,6 @@ def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=No
         inputs: its arguments.
         outputs: the arrays it writes.
         device: where to run.
-        least: fewest rows worth a CPU thread.
     """
     if not _starts_anywhere(kernel.func):
         _alone(lambda: _launch(kernel, dim, inputs, outputs, device))
@@ -154,7 +153,7 @@ def launch(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=No
         parts = [[_from(a, first) for a in arguments] for arguments in (inputs, outputs)]
         _launch(kernel, last - first, *parts, device)
 
-    _share(kernel, dim, least, ROWS_A_LANE, device, run)
+    _share(kernel, dim, ROWS_A_THREAD, ROWS_A_LANE, device, run)
 
 
 def launch_rows(kernel, dim: int, inputs: Sequence, outputs: Sequence = (), device=None) -> None:

@@ -40,7 +40,7 @@ class Stepper:
     On a GPU a step is two graphs, captured in the first step and replayed from then on: all up to where E have moved,
     and all after that. They decide on the device when solvers stop, and read `dt` and what else changes from step to
     step from arrays. Before each the host has lists rebuilt where it is time, see `NeighborLists`, and nothing else to
-    do. On the CPU each stage is a graph of its own where it is small, and otherwise runs on all cores.
+    do. On the CPU each stage is a graph of its own, a graph a core, so that `wall` can be told.
 
     Attributes:
         dt: the step in progress, s.

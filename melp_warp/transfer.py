@@ -21,9 +21,6 @@ THICKNESS_SLACK = 0.02
 THICKNESS_LIMIT = 0.7
 """Log of the ratio between eta_L and eta_E beyond which the difference is mended at once: a factor of two."""
 
-E_A_THREAD = 256
-"""Fewest E worth a CPU thread where each gathers from hundreds of L."""
-
 
 class Transfer:
     """APIC transfer, or a blend with PIC and FLIP. Made only for films with L.
@@ -64,16 +61,13 @@ class Transfer:
         """The sums of (6) and (7) alone."""
         film, e = self.film, self.state.e
         self.normalize()
-        launch(
+        film.launch_e(
             kt.gather_l_to_e,
-            film.n_e,
             [
                 *(e.x, e.region, self.lists.wide.rows, self.lists.el.blocks),
                 *(film.r, self._given),
             ],
             [e.mass, e.surfactant, self.claim, self.momentum],
-            film.device,
-            least=E_A_THREAD,
         )
 
     def normalize(self) -> None:

@@ -89,6 +89,12 @@ def l_array(simulation: Simulation, name: str) -> np.ndarray:
     return of_e.numpy()[: simulation.film.n_e].astype(np.float64)
 
 
+def unevenness(simulation: Simulation) -> float:
+    """Deviation of the thickness, relative to its mean."""
+    found = simulation.diagnostics()
+    return found["thickness_std"] / found["thickness_mean"]
+
+
 def cost(simulation: Simulation) -> dict:
     """What a run took and what it kept.
 

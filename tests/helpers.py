@@ -21,6 +21,12 @@ def make_stepper(shape: Shape, e_count: int, device, l_per_e: int = 0, numerics:
     return make_film(made, device)
 
 
+def spline(d, r=3.0):
+    """The quintic spline W of support r at d, (22), in float64."""
+    a, b, c = (np.maximum(v - 3.0 * d / r, 0.0) for v in (3.0, 2.0, 1.0))
+    return 7.0 / (478.0 * np.pi) * 9.0 / r**2 * (a**5 - 6.0 * b**5 + 15.0 * c**5)
+
+
 @dataclasses.dataclass(frozen=True)
 class Jittered(Shape):
     """A shape whose points are moved along its surface by up to `amount` spacings, at random."""

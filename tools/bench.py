@@ -19,6 +19,7 @@ import platform
 import statistics
 import time
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -50,10 +51,10 @@ PUBLISHED_MS = {"equilibrium": 760.0, "sphere": 3820.0, "flow": 6950.0, "paper":
 """The authors' released C++ program on two cores of the same kind of machine ("paper" on one), ms a step."""
 
 
-def scene_of(name: str, settings: list[str]) -> Scene:
+def scene_of(name: str, **keys) -> Scene:
     """A shipped scene with other numbers."""
     script = load_scene(name)
-    return script.build(script.parameters.values(script.parameters.parse(settings)))
+    return script.build(script.parameters.values(keys))
 
 
 def oscillating_sphere(e_count: int, numerics: Numerics | None = None) -> Scene:
@@ -74,13 +75,13 @@ def bubbles(count: int, e_count: int) -> Scene:
 
 
 CASES = {
-    "equilibrium": lambda: scene_of("equilibrium", []),
+    "equilibrium": lambda: scene_of("equilibrium"),
     "sphere": lambda: oscillating_sphere(20480),
-    "flow": lambda: scene_of("equilibrium", ["e_count=6900"]),
-    "bubble": lambda: scene_of("giant_bubble", ["e_count=6900"]),
-    "foam": lambda: scene_of("triple_bubble", []),
-    "paper": lambda: scene_of("equilibrium", ["e_count=6900", "l_per_e=100"]),
-    "large": lambda: scene_of("equilibrium", ["e_count=82000", "l_per_e=59"]),
+    "flow": lambda: scene_of("equilibrium", e_count=6900),
+    "bubble": lambda: scene_of("giant_bubble", e_count=6900),
+    "foam": lambda: scene_of("triple_bubble"),
+    "paper": lambda: scene_of("equilibrium", e_count=6900, l_per_e=100),
+    "large": lambda: scene_of("equilibrium", e_count=82000, l_per_e=59),
     "bubbles": lambda: bubbles(300, 192000),
 }
 DEFAULT_CASES = ("equilibrium", "sphere", "flow", "bubble", "foam", "paper")
@@ -304,27 +305,21 @@ def write_pages(folder: Path, made: dict, old: dict[str, dict]) -> None:
     put(folder / "scaling.md", f"{what}\n\n{scaling_tables(made['scaling'])}")
 
 
-def evening_disc(**keys) -> Scene:
-    """The scene `equilibrium` with some keys of its own."""
-    script = load_scene("equilibrium")
-    return script.build(script.parameters.values(keys))
-
-
 def run_rivals(device: str) -> dict:
     """The gather by other means on a film of 20,480 E, the explicit step on one of 2,000, and the single layer."""
-    sim = Simulation(oscillating_sphere(20480), device)
+    sim, disc = Simulation(oscillating_sphere(20480), device), partial(scene_of, "equilibrium")
     return {
         "gathers": gathers(sim),
         "explicit": explicit(lambda numerics: oscillating_sphere(2000, numerics), device, 3.5e-4),
-        "layers": layers(evening_disc, device),
-        "bare": bare(evening_disc, device),
+        "layers": layers(disc, device),
+        "bare": bare(disc, device),
     }
 
 
 def run_scaling(device: str, steps: int) -> dict:
     """Cost against E, L, bubbles and cores."""
     of_e = [lambda n=n: oscillating_sphere(n) for n in (1280, 5120, 20480)]
-    of_l = [lambda n=n: scene_of("equilibrium", ["e_count=2000", f"l_per_e={n}"]) for n in (4, 16, 64)]
+    of_l = [lambda n=n: scene_of("equilibrium", e_count=2000, l_per_e=n) for n in (4, 16, 64)]
     of_bubbles = [lambda n=n: bubbles(n, 400 * n) for n in (2, 8, 27)]
     sphere = series("E, a sphere", "e_count", of_e, device)
     flat = series("L, a flat film of 2,000 E", "l_count", of_l, device)

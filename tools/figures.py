@@ -20,7 +20,7 @@ SHEETS = {
     "giant_bubble": (["--set", "l_per_e=48", "e_count=2500", "--frames", "240"], (0, 20, 60, 120, 180, 240)),
     "drainage": ([], (0, 5, 10, 20, 40, 150)),
     "equilibrium": (["--fps", "120", "--frames", "60"], (0, 1, 2, 4, 10, 60)),
-    "taylor_vortices": ([], (0, 60, 120, 180, 240, 300)),
+    "taylor_vortices": ([], (0, 40, 80, 120, 160, 192)),
     "oscillating_bubble": ([], (0, 5, 10, 15, 20, 25)),
     "double_bubble": (["--frames", "60"], (0, 8, 15, 30, 45, 60)),
     "four_bubbles": ([], (0, 15, 40, 70, 90, 120)),

@@ -18,6 +18,7 @@ from melp_warp.launch import launch
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
+from melp_warp.validation import unevenness
 
 EXPLICIT_TIME = 28e-3
 """Simulated time to which the explicit and the implicit step are run, s."""
@@ -209,12 +210,6 @@ def explicit(make: Callable[[Numerics], Scene], device: str, dt: float) -> list[
     raise ArithmeticError(f"the explicit step is unstable down to {small:g} s")
 
 
-def deviation(sim: Simulation) -> float:
-    """Deviation of the thickness, relative to its mean."""
-    found = sim.diagnostics()
-    return found["thickness_std"] / found["thickness_mean"]
-
-
 def even_out(scene: Scene, device: str, duration: float, by_speed: bool = False) -> dict:
     """Run a scene to `duration` (s): what it took, and how uneven the film is then against the start.
 
@@ -225,13 +220,13 @@ def even_out(scene: Scene, device: str, duration: float, by_speed: bool = False)
         by_speed: whether the step is that of the fastest particle alone, as Wang et al. 2021 count it, no wave's.
     """
     sim = Simulation(scene, device)
-    start = deviation(sim)
+    start = unevenness(sim)
     try:
         if by_speed:
             step_by_speed(sim, duration)
         while sim.time < duration - 1e-9:
             sim.advance_frame()
-        end = deviation(sim)
+        end = unevenness(sim)
     except SimulationError:
         end = float("inf")
     seconds = sim.step_seconds[1:] or sim.step_seconds  # the first loads what a step needs

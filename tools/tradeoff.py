@@ -80,10 +80,11 @@ NOTES = """\
 * **One layer**, explicit, is the most accurate where a thin film evens out against the air's drag, for six times the
   time; drainage is off by two to thirty times as much, and a vortex is gone within a turn. See docs/single-layer.md.
 * **`draft` is on every front, `standard` on most:** without `flip` it is off that of the vortex. **`fine`** refines
-  spacing and step and is on the front of all that flows: waves, a film that evens out, vortices. It is off three fronts
-  that refinement does not reach. Of the bubble that rests, as SPH happens to be exact on an even sphere. Of the one
-  that rings, as its errors of the spacing and of T/40 cancel at 1,200 E to a third of either. Of drainage, whose error
-  no longer falls from 200 E on. **`paper`** is off the front by support, SPH and Jacobi, and is there for comparison.
+  spacing and step and is on the front of what flows: waves, a film that evens out, a vortex. It is off four fronts. Of
+  the bubble that rests, as SPH happens to be exact on an even sphere. Of the one that rings, as its errors of the
+  spacing and of T/40 cancel at 1,200 E to a third of either. Of drainage, whose error no longer falls from 200 E on. Of
+  the pair of vortices, which `flip` 1 alone keeps as well. **`paper`** is off the front by support, SPH and Jacobi, and
+  is there for comparison.
 
 """
 

@@ -77,6 +77,11 @@ def particles(r: dict) -> str:
     return f"{r['e_count']:,} E, {r['e_count'] * r['l_per_e']:,} L" if r["l_per_e"] else f"{r['e_count']:,} E"
 
 
+def force_of(r: dict) -> str:
+    """Marangoni force of a single layer."""
+    return r.get("gradient", "difference")
+
+
 def flat_film() -> v.Scene:
     """The flat scene that conservation is watched on."""
     script = load_scene("equilibrium")
@@ -327,6 +332,54 @@ CASES: dict[str, Case] = {
             f"radius {r['radius_dx']:g} dx, support {r.get('support', 3.0):g}"
             + (", second-order paths" if r.get("l_order") == 2 else "")
         ),
+    ),
+    "single-rest": Case(
+        "Single layer: resting bubble, gauge pressure",
+        "4 sigma/R",
+        "1 %",
+        v.resting_bubble,
+        [{"e_count": 1000, "l_per_e": 4, "dt": 1e-4, "count": 100, "layers": 1}],
+        met=within(0.01),
+    ),
+    "single-wave": Case(
+        "Single layer: Marangoni wave without viscosity, speed",
+        "sqrt(2 R T Gamma_0/m)",
+        "-",
+        v.marangoni_wave,
+        [
+            {"cells": n, "l_per_e": 0, "steps_per_period": 160.0, "periods": 1.5, "layers": 1, "xsph": 0.0, **force}
+            for force in ({}, {"gradient": "symmetric"})
+            for n in (20, 30)
+        ],
+        {"periods": 1.0},
+        lambda r: f"{force_of(r)}: {percent(r['error'])}; damping {percent(r['damping'])} a period",
+        size=lambda r: f"{r['cells']} particles to half a wave, T/{r['steps_per_period']:g}",
+    ),
+    "single-drainage": Case(
+        "Single layer: drainage to rest, L2 error of eta",
+        "eta_0 (h/l) exp(-z/l)/(1 - exp(-h/l))",
+        "-",
+        v.drainage,
+        [
+            {"e_count": n, "l_per_e": 0, "duration": 1.5, "dt": 2.5e-3, "layers": 1, **force}
+            for force in ({}, {"gradient": "symmetric"})
+            for n in (400, 1600)
+        ],
+        {"e_count": 400},
+        lambda r: f"{force_of(r)}: {percent(r['error'])}",
+    ),
+    "single-vortex": Case(
+        "Single layer: one Taylor vortex, one turnover: energy kept",
+        "1",
+        "-",
+        v.taylor_vortex,
+        [
+            {"cells": 40, "l_per_e": 4, "turns": 1.0, "layers": 1, **keys}
+            for keys in ({}, {"xsph": 0.05}, {"xsph": 0.0, "cfl": 0.5, "gradient": "symmetric"})
+        ],
+        {"cells": 24},
+        lambda r: f"{force_of(r)}, xsph {r.get('xsph', 0.99):g}: {r['measured']:.2f}",
+        size=lambda r: f"radius {r['radius_dx']:g} dx",
     ),
     "taylor": Case(
         "Taylor vortices 0.81 m apart: their distance after 8 s",

@@ -11,7 +11,7 @@ from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.launch import launch
 from melp_warp.neighbors import fixed_rows
 from melp_warp.shapes import Disc, Sphere
-from tests.helpers import make_rows, make_stepper
+from tests.helpers import make_rows, make_stepper, spline
 
 N, LIMIT, R = 60, 50, 1.0
 UP = (0.0, 1.0, 0.0)
@@ -58,12 +58,6 @@ def evaluate_moments(
 ):
     i = rows.first + wp.tid()
     out[i] = kr.moment_row(i, x[i], pack, pair, rows)
-
-
-def spline(s):
-    """W for support 3, (22) of the paper's quintic."""
-    a, b, c = (np.maximum(v - s, 0.0) for v in (3.0, 2.0, 1.0))
-    return 0.004661441847 * (a**5 - 6.0 * b**5 + 15.0 * c**5)
 
 
 def slope(s):
@@ -147,6 +141,110 @@ def test_cloud_moments(cloud):
     w = spline(3.0 * np.linalg.norm(d, axis=1) / R)
     terms = [np.ones_like(x), x, y, z, x * x, y * y, z * z, y * z, z * x, x * y]
     agree(made["out"][:, 22:32], by_row(i, w[:, None] * np.stack(terms, axis=1)))
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_sums(
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
+    f: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    gradient: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    limit: int,
+    close: float,
+    # outputs
+    out: wp.array2d(dtype=float),
+):
+    i = rows.first + wp.tid()
+    out[i, 0] = kr.sum_row(i, pair, rows)
+    out[i, 1] = kr.sum_quotients(i, pair, f, f, rows, limit)
+    mean = kr.sum_vectors(i, pair, v, rows, limit)
+    slope = kr.gradient_row(i, f, rows, gradient, limit)
+    change = kr.change_along(i, v[i], v, rows, gradient)
+    away = kr.away_from_near(i, x, v, rows, close)
+    for c in range(3):
+        out[i, 2 + c] = mean[c]
+        out[i, 5 + c] = slope[c]
+        out[i, 8 + c] = change[c]
+        out[i, 11 + c] = away[c]
+
+
+def test_sums_with_ready_weights(device):
+    """`sum_row`, `sum_quotients`, `sum_vectors`, `gradient_row`, `change_along` and `away_from_near`."""
+    rng = np.random.default_rng(4)
+    columns = [rng.permutation(np.delete(np.arange(N), i))[: i % 41] for i in range(N)]
+    rows, close = make_rows(columns, device), 0.6
+    x, v = rng.uniform(-0.5, 0.5, (N, 3)), rng.normal(size=(N, 3))
+    x[columns[7][0]] = x[7]  # two in one place push each other nowhere
+    f, pair = rng.uniform(0.5, 1.5, N), rng.normal(size=rows.index.shape[0])
+    gradient, out = rng.normal(size=(len(pair), 3)), wp.zeros((N, 14), dtype=float, device=device)
+    vectors = [wp.array(a, dtype=wp.vec3, device=device) for a in (x, v)]
+    given = [wp.array(a, dtype=float, device=device) for a in (f, pair)]
+    slopes = wp.array(gradient, dtype=wp.vec3, device=device)
+    launch(evaluate_sums, N, [*vectors, *given, slopes, rows, LIMIT, close], [out], device)
+    i, j = np.repeat(np.arange(N), [len(c) for c in columns]), np.concatenate(columns).astype(int)
+    below, d = j < LIMIT, x[i] - x[j]
+    far, facing = np.linalg.norm(d, axis=1), np.sum(v[i] * v[j], axis=1) > 0.0
+    push = np.where((far < close) & (far > 0.0) & facing, close / np.where(far > 0.0, far, 1.0) - 1.0, 0.0)
+    assert 20 < np.count_nonzero(push) < len(push)
+    terms = [pair, pair * below, (pair * below)[:, None] * v[j], (below * (f[j] - f[i]))[:, None] * gradient]
+    terms += [np.sum(gradient * v[i], axis=1)[:, None] * (v[j] - v[i]), push[:, None] * d]
+    for got, term in zip(np.split(out.numpy(), (1, 2, 5, 8, 11), axis=1), terms, strict=True):
+        agree(got, by_row(i, term.reshape(len(i), -1)))
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_ranges(
+    size: int,
+    scale: float,
+    p: wp.array(dtype=float),
+    q: wp.array(dtype=float),
+    inverse: wp.array(dtype=float),
+    # outputs
+    x: wp.array(dtype=float),
+    r: wp.array(dtype=float),
+    z: wp.array(dtype=float),
+    turned: wp.array(dtype=float),
+):
+    begin = size * wp.tid()
+    end = wp.min(p.shape[0], begin + size)
+    kr.advance_entries(begin, end, scale, p, q, inverse, x, r, z)
+    kr.turn_entries(begin, end, scale, z, turned)
+
+
+def test_ranges_of_entries(device):
+    """`advance_entries` and `turn_entries`, in ranges that do not divide the arrays."""
+    rng = np.random.default_rng(6)
+    p, q, inverse, x, r, z, turned = (rng.normal(size=N).astype(np.float32) for _ in range(7))
+    arrays = [wp.array(a, dtype=float, device=device) for a in (p, q, inverse, x, r, z, turned)]
+    launch(evaluate_ranges, -(-N // 13), [13, 0.3, *arrays[:3]], arrays[3:], device)
+    left = r - 0.3 * q
+    expected = (x + 0.3 * p, left, inverse * left, inverse * left + 0.3 * turned)
+    for got, wanted in zip(arrays[3:], expected, strict=True):
+        agree(got.numpy(), wanted)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_fit(m: kr.vec17, b: kr.vec5, factor: wp.array(dtype=kr.mat55), x: wp.array(dtype=kr.vec5)):
+    factor[0] = kr.factor_fit(m)
+    x[0] = kr.solve_fit(factor[0], b)
+
+
+def test_fit_is_solved(device):
+    """`factor_fit` and `solve_fit`: the normal matrix of random points, in float64 and by its factors."""
+    rng = np.random.default_rng(8)
+    u, v = rng.uniform(-1.5, 1.5, (2, 30))
+    basis = np.stack([u, v, u * u, u * v, v * v], axis=1)
+    matrix, b = basis.T @ basis, rng.normal(size=5)
+    powers = [(2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4)]
+    moments = [np.sum(u**a * v**c) for a, c in powers] + 5 * [0.0]
+    factor, x = wp.zeros(1, dtype=kr.mat55, device=device), wp.zeros(1, dtype=kr.vec5, device=device)
+    launch(evaluate_fit, 1, [kr.vec17(*moments), kr.vec5(*b)], [factor, x], device)
+    np.testing.assert_allclose(x.numpy()[0], np.linalg.solve(matrix, b), rtol=1e-3)
+    held = factor.numpy()[0].astype(float)
+    low = np.tril(held, -1) + np.eye(5)
+    np.testing.assert_allclose(low @ np.diag(1.0 / np.diag(held)) @ low.T, matrix, rtol=1e-5, atol=1e-5 * matrix.max())
 
 
 @wp.kernel(enable_backward=False)

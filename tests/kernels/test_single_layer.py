@@ -5,7 +5,7 @@ import pytest
 
 from melp_warp.material import Material
 from melp_warp.shapes import Rectangle, Samples
-from tests.helpers import Patch, make_stepper
+from tests.helpers import Patch, make_stepper, spline
 
 SIDE = 0.1
 
@@ -24,12 +24,6 @@ def made(device, **numerics):
     for held in (e.mass, e.surfactant):
         held.assign(held.numpy() * rng.uniform(0.7, 1.3, s.film.n_e).astype(held.numpy().dtype))
     return s, *(a.numpy().astype(np.float64) for a in (e.x, e.mass, e.surfactant))
-
-
-def spline(d, r):
-    """The quintic spline in float64."""
-    powers = [np.maximum(c - 3.0 * d / r, 0.0) ** 5 for c in (3.0, 2.0, 1.0)]
-    return 7.0 / (478.0 * np.pi) * 9.0 / r**2 * (powers[0] - 6.0 * powers[1] + 15.0 * powers[2])
 
 
 def summed(x, amount, r):

@@ -19,12 +19,6 @@ def scene(name, **overrides):
     return script.build(script.parameters.values({"layers": 1, **overrides}))
 
 
-def deviation(simulation):
-    """Deviation of the thickness, relative to its mean."""
-    found = simulation.diagnostics()
-    return found["thickness_std"] / found["thickness_mean"]
-
-
 def test_marangoni_wave():
     """sqrt(2 R T Gamma/m), within what the kernel's smoothing takes from it; without viscosity nothing is damped."""
     found = [v.marangoni_wave(n, 0, steps_per_period=160.0, periods=1.5, layers=1, xsph=0.0) for n in (20, 30)]
@@ -41,7 +35,7 @@ def test_even_film_stays_at_rest():
     simulation = Simulation(Scene("rest", Rectangle(0.1, 0.1), 400, numerics=Numerics(layers=1)))
     v.steps(simulation, 200, 0.5 * simulation.largest_step())
     assert np.abs(v.e_velocities(simulation)).max() < 1e-4 * simulation.stepper.wave_speed
-    assert deviation(simulation) < 1e-4
+    assert v.unevenness(simulation) < 1e-4
 
 
 def test_bubble_at_rest():
@@ -79,10 +73,10 @@ def test_viscosity_is_what_holds_the_papers_operators():
 
     def late(**numerics):
         simulation = Simulation(scene("equilibrium", e_count=600, drag=0.0, **numerics))
-        start, worst = deviation(simulation), 0.0
+        start, worst = v.unevenness(simulation), 0.0
         for _ in range(9):
             simulation.advance_frame()
-            worst = max(worst, deviation(simulation)) if simulation.frame > 3 else 0.0
+            worst = max(worst, v.unevenness(simulation)) if simulation.frame > 3 else 0.0
         return worst / start
 
     assert late(xsph=0.0, cfl=0.1) > 1.2
