@@ -34,8 +34,8 @@ def test_even_film_stays_at_rest():
     """On an even grid up to the frame, 200 steps leave it at rest to rounding."""
     simulation = Simulation(Scene("rest", Rectangle(0.1, 0.1), 400, numerics=Numerics(layers=1)))
     v.steps(simulation, 200, 0.5 * simulation.largest_step())
-    assert np.abs(v.e_velocities(simulation)).max() < 1e-4 * simulation.stepper.wave_speed
-    assert v.unevenness(simulation) < 1e-4
+    assert np.abs(v.e_velocities(simulation)).max() < 1e-5 * simulation.stepper.wave_speed
+    assert v.unevenness(simulation) < 1e-5
 
 
 def test_bubble_at_rest():
