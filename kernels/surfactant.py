@@ -231,6 +231,35 @@ def assemble_viscosity_e(
 
 
 @wp.kernel
+def find_rest_e(
+    before: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    beyond: wp.array(dtype=float),
+    # outputs
+    rest: wp.array(dtype=wp.vec3),
+):
+    """What the tangential velocity after theta dt, u, lacks of that after dt: 1/theta - 1 = `beyond` of its change.
+
+    Args:
+        before: [n] at the start of the step, m/s.
+        u: [n] m/s.
+        normal: [n] unit normals.
+        beyond: [1] 1/theta - 1.
+        rest: [n_e] m/s.
+    """
+    i = wp.tid()
+    rest[i] = beyond[0] * tangential(u[i] - before[i], normal[i])
+
+
+@wp.kernel
+def add_rest_e(rest: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3)):
+    """u += rest. [n_e], m/s."""
+    i = wp.tid()
+    u[i] += rest[i]
+
+
+@wp.kernel
 def replace_tangential_e(
     ut: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),

@@ -151,6 +151,22 @@ def pack_e(
     pack[i] = vec12(p[0], p[1], p[2], v[0], v[1], v[2], 1.0, g, n[0], n[1], n[2], 0.0)
 
 
+@wp.func
+def slope_along(n: wp.vec3, cov: wp.mat33, b: wp.mat33) -> wp.mat33:
+    """B D^-1 in the plane normal to n, D = `cov` that of the positions; 0 where they lie on one line."""
+    e1, e2 = tangent_basis(n)
+    d11 = wp.dot(e1, cov * e1)
+    d12 = wp.dot(e1, cov * e2)
+    d22 = wp.dot(e2, cov * e2)
+    det = d11 * d22 - d12 * d12
+    slope = wp.mat33()
+    if det > 1.0e-4 * d11 * d22:
+        b1 = b * e1
+        b2 = b * e2
+        slope = wp.outer((d22 * b1 - d12 * b2) / det, e1) + wp.outer((d11 * b2 - d12 * b1) / det, e2)
+    return slope
+
+
 @wp.kernel
 def gather_e_to_l(
     x_l: wp.array(dtype=wp.vec3),
@@ -199,22 +215,54 @@ def gather_e_to_l(
         first = first / total
         velocity = velocity / total
         b = moment / total - wp.outer(velocity, first)
-        cov = second / total - wp.outer(first, first)
-        e1, e2 = tangent_basis(n)
-        d11 = wp.dot(e1, cov * e1)
-        d12 = wp.dot(e1, cov * e2)
-        d22 = wp.dot(e2, cov * e2)
-        det = d11 * d22 - d12 * d12
-        affine = wp.mat33()
-        if det > 1.0e-4 * d11 * d22:
-            b1 = b * e1
-            b2 = b * e2
-            affine = wp.outer((d22 * b1 - d12 * b2) / det, e1) + wp.outer((d11 * b2 - d12 * b1) / det, e2)
+        affine = slope_along(n, second / total - wp.outer(first, first), b)
         u_l[i] = velocity
         affine_l[i] = affine
         v_l[i] = velocity - affine * first
         normal_l[i] = n
         eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))
+
+
+@wp.kernel
+def add_rest_l(
+    x_l: wp.array(dtype=wp.vec3),
+    normal_l: wp.array(dtype=wp.vec3),
+    pack: wp.array(dtype=vec12),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    # outputs
+    u_l: wp.array(dtype=wp.vec3),
+    affine_l: wp.array(dtype=wp.mat33),
+):
+    """Add to the velocity (16) and the affine state (17) of each L those of the pack's velocities.
+
+    The velocity that L move with, of `gather_e_to_l`, is then that of the step's middle, the one they carry on that of
+    its end.
+
+    Args:
+        x_l: [n_l] m.
+        normal_l: [n_l] unit normals.
+        pack: [n] as in `gather_e_to_l`, but what the velocities lack of those at the end of the step.
+        weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
+        rows: L:E neighbours.
+        u_l: [n_l] m/s.
+        affine_l: [n_l] 1/s.
+    """
+    i = rows.first + wp.tid()
+    sums = moment_row(i, x_l[i], pack, weight, rows)
+    total = sums[0, 6]
+    if total > 0.0:
+        first = wp.vec3(sums[0, 0], sums[0, 1], sums[0, 2]) / total
+        rest = wp.vec3(sums[0, 3], sums[0, 4], sums[0, 5]) / total
+        second = wp.mat33()
+        moment = wp.mat33()
+        for a in range(3):
+            for c in range(3):
+                second[a, c] = sums[a + 1, c]
+                moment[c, a] = sums[a + 1, 3 + c]
+        cov = second / total - wp.outer(first, first)
+        u_l[i] += rest
+        affine_l[i] += slope_along(normal_l[i], cov, moment / total - wp.outer(rest, first))
 
 
 @wp.kernel

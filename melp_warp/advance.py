@@ -109,7 +109,7 @@ class LagrangianAdvance:
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
-        self.velocity = film.zeros(film.n_l, wp.vec3) if film.numerics.l_order == 2 else state.l.v
+        self.velocity = film.zeros(film.n_l, wp.vec3) if film.numerics.curved_paths else state.l.v
 
     def find_velocity(self, x_e: wp.array, frame: wp.array, dt: wp.array) -> None:
         """Find `velocity` for a step dt, E still at x_e."""

@@ -9,6 +9,7 @@ import numpy as np
 from melp_warp.errors import require
 
 SCHEMES = ("backward_euler", "trapezoid", "explicit")
+FLOW_SCHEMES = ("backward_euler", "midpoint")
 OPERATORS = ("mls", "sph")
 SOLVERS = ("cg", "jacobi")
 GRADIENTS = ("difference", "symmetric")
@@ -25,6 +26,8 @@ class Numerics:
         scheme: normal dynamics: "backward_euler" (damps), "trapezoid" (second order, keeps oscillations; taken as the
             implicit midpoint rule, with which it coincides for linear forces) or "explicit" (the paper's symplectic
             Euler step).
+        flow: time stepping of the flow along the film: "backward_euler" (the paper's (14): damps waves) or "midpoint"
+            (second order, keeps waves, L on paths of second order whatever `l_order` is; see docs/method.md).
         curvature: "mls" (second order) or "sph" (the paper's (21)).
         solver: "cg" or "jacobi" (the paper's relaxed sweeps) for the surfactant equation (14).
         tolerance: relative residual at which conjugate gradients stop.
@@ -51,6 +54,7 @@ class Numerics:
     layers: int = 2
     support: float = 3.0
     scheme: str = "backward_euler"
+    flow: str = "backward_euler"
     curvature: str = "mls"
     solver: str = "cg"
     tolerance: float = 1e-4
@@ -68,6 +72,14 @@ class Numerics:
     exchange: float = 0.0
     thickness_time: float = 0.1
 
+    @property
+    def curved_paths(self) -> bool:
+        """Whether L move along paths of second order.
+
+        Straight ones feed a vortex, which backward Euler takes away again, but the midpoint rule does not.
+        """
+        return self.l_order == 2 or self.flow == "midpoint"
+
     def __post_init__(self):
         def number(name, low, high):
             value = getattr(self, name)
@@ -77,6 +89,7 @@ class Numerics:
         require(self.layers in (1, 2), "layers", self.layers, "1 or 2")
         number("support", 2.0, 8.0)
         require(self.scheme in SCHEMES, "scheme", self.scheme, f"one of {', '.join(SCHEMES)}")
+        require(self.flow in FLOW_SCHEMES, "flow", self.flow, f"one of {', '.join(FLOW_SCHEMES)}")
         require(self.curvature in OPERATORS, "curvature", self.curvature, f"one of {', '.join(OPERATORS)}")
         require(self.gradient in GRADIENTS, "gradient", self.gradient, f"one of {', '.join(GRADIENTS)}")
         require(self.solver in SOLVERS, "solver", self.solver, f"one of {', '.join(SOLVERS)}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from melp_warp.errors import InputError, require
 from melp_warp.material import AIR_MODELS, Material, Surroundings
-from melp_warp.numerics import GRADIENTS, OPERATORS, SCHEMES, SOLVERS, Numerics
+from melp_warp.numerics import FLOW_SCHEMES, GRADIENTS, OPERATORS, SCHEMES, SOLVERS, Numerics
 from melp_warp.scene import Scene
 from melp_warp.shapes import Shape
 
@@ -169,6 +169,7 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "layers": _count("2 for MELP; 1 for one layer of e_count particles by explicit SPH, without L", 1, 2),
         "support": Key("spacings", "kernel support radius, in E spacings", 2.0, 8.0),
         "scheme": Key("-", "time stepping of the normal motion", choices=SCHEMES),
+        "flow": Key("-", "time stepping of the flow along the film", choices=FLOW_SCHEMES),
         "curvature": Key("-", "curvature operator", choices=OPERATORS),
         "solver": Key("-", "solver of the surfactant equation", choices=SOLVERS),
         "tolerance": Key("-", "relative residual at which solves stop", 1e-7, 0.1),

@@ -82,7 +82,8 @@ def solver_error(simulation: Simulation, dt: float) -> tuple[float, float]:
     stepper.fields.update()
     stepper.forces.update()
     before = stepper.fields.gamma.numpy().astype(np.float64)
-    stepper.tangential.solve(stepper.prepare(dt))
+    stepper.prepare(dt)
+    stepper.tangential.solve()
     solver = stepper.tangential.solver
     operator = solver.operator
     row, column, place = pairs(operator.rows)

@@ -81,7 +81,7 @@ QUALITIES: Mapping[str, Quality] = MappingProxyType(
     {
         "draft": Quality("a look at the motion", e=0.4, l=0.5, step=2.0, keys={"flip": 0.95}),
         "standard": Quality("the scene's own numbers"),
-        "fine": Quality("for the final frames", e=2.0, step=0.5, keys={"flip": 0.95}),
+        "fine": Quality("for the final frames", e=2.0, step=0.5, keys={"flip": 0.95, "flow": "midpoint"}),
         "paper": Quality(
             "the settings of MELP 2022 at the scene's number of E",
             keys={
@@ -91,6 +91,7 @@ QUALITIES: Mapping[str, Quality] = MappingProxyType(
                 "support": 4.0,
                 "curvature": "sph",
                 "solver": "jacobi",
+                "flow": "backward_euler",
                 "l_order": 1,
                 "xsph": 0.99,
             },

@@ -120,7 +120,7 @@ class Stepper:
 
     def prepare(self, dt: float) -> wp.array:
         """Set what depends on the step dt (s) to come; `dt` as the stages take it."""
-        for stage in (self.exchange, self.transfer, self.membrane):
+        for stage in (self.exchange, self.transfer, self.membrane, self.tangential):
             if stage is not None:
                 stage.prepare(dt)
         self.lists.expect(dt)
@@ -169,7 +169,7 @@ class Stepper:
         self._guard_e("membrane")
 
     def _solve_tangential(self) -> None:
-        self.tangential.solve(self.dt.array)  # (14), (15)
+        self.tangential.solve()  # (14), (15)
         if self.film.features.recoils:
             self.membrane.recoil(self.tangential.traction, self.dt.array)
         self.tangential.find_dilation()
@@ -178,6 +178,9 @@ class Stepper:
     def _scatter(self) -> None:
         self.transfer.e_to_l(self.tangential.dilation, self.dt.array)  # (16)-(18), (8)
         self.l_advance.find_velocity(self.state.e.x, self.start, self.dt.array)
+        if self.tangential.midpoint:
+            self.transfer.add_rest(self.tangential.rest)
+            self.tangential.finish()
         self._guard_l("e_to_l")
 
     def _advance_e(self) -> None:

@@ -95,6 +95,14 @@ class Transfer:
         if self._kept is not None:
             film.launch_l(kt.add_fluctuation_l, [self._kept, self.state.l.normal], [self.state.l.u])
 
+    def add_rest(self, rest: wp.array) -> None:
+        """Give the velocity that L carry on what that of E lacks of the one at the end of the step, `rest` [n], m/s."""
+        film, e, lag = self.film, self.state.e, self.state.l
+        launch(kt.pack_e, film.total, [e.x, rest, e.normal, self.growth], [self._pack], film.device)
+        film.launch_l(
+            kt.add_rest_l, [lag.x, lag.normal, self._pack, self.weight, self.lists.le.rows], [lag.u, lag.affine]
+        )
+
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
         clear(self.growth)

@@ -157,8 +157,8 @@ def damped_cosine(time: np.ndarray, signal: np.ndarray, omega: float) -> dict:
 
 
 def decay_rate(time: np.ndarray, signal: np.ndarray) -> float:
-    """Rate b of the exponential exp(-b t) through a positive signal, 1/s."""
-    return -float(np.polyfit(time, np.log(signal), 1)[0])
+    """Rate b of the exponential exp(-b t) through a signal's size, 1/s."""
+    return -float(np.polyfit(time, np.log(np.abs(signal)), 1)[0])
 
 
 def order_of(sizes: Sequence[float], errors: Sequence[float]) -> float:
@@ -604,6 +604,7 @@ def marangoni_wave(
     )
     simulation = Simulation(scene)
     shape = np.cos(k * (e_points(simulation)[:, 0] + 0.5 * width))
+    shape -= shape.mean()
 
     def observe():
         return 2.0 * np.mean(shape * e_concentration(simulation))

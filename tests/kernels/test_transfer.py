@@ -196,6 +196,23 @@ def test_any_blend_conserves_momentum(flip, affinity, device):
     assert np.abs(given).max() > 1e-4 * np.abs(mass).sum()
 
 
+def test_l_carry_on_the_velocity_of_the_end_and_move_with_that_of_the_middle(device):
+    """After `add_rest` u and the affine state are those of u_E + rest, to rounding; v is still that of u_E."""
+    film, s = make_stepper(SHAPES["sphere"], 600, device, l_per_e=8)
+    fill_l(s)
+    s.transfer.l_to_e()
+    rest = np.cross(f64(s.state.e.x), [3.0, 1.0, 2.0]).astype(np.float32)
+    s.transfer.start_l()
+    v = f64(s.state.l.v)
+    s.transfer.add_rest(wp.array(rest, dtype=wp.vec3, device=device))
+    u, affine = f64(s.state.l.u), f64(s.state.l.affine)
+    assert np.array_equal(f64(s.state.l.v), v)
+    s.state.e.u.assign(s.state.e.u.numpy() + rest)
+    s.transfer.start_l()
+    assert np.abs(u - f64(s.state.l.u)).max() < 1e-5 * np.abs(u).max()
+    assert np.abs(affine - f64(s.state.l.affine)).max() < 1e-4 * np.abs(affine).max()
+
+
 def test_flip_without_forces_leaves_each_l_its_velocity(device):
     """Where no force acts FLIP changes no velocity, PIC makes a weighted mean of it: random ones all but vanish."""
     left = {}

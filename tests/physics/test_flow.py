@@ -1,5 +1,7 @@
 """Flow along flat films: Marangoni waves, surfactant, drag, viscosity, drainage, evening out."""
 
+import math
+
 import pytest
 
 from melp_warp import validation as v
@@ -15,6 +17,33 @@ def test_marangoni_wave_speed(l_order):
     run = v.marangoni_wave(30, l_per_e=8, periods=1.0, l_order=l_order)
     assert abs(run["error"]) < 0.02
     assert run["exact_damping"] - 0.01 < run["damping"] < run["exact_damping"] + 0.06
+
+
+@pytest.mark.parametrize("count", [20, 40])
+def test_midpoint_rule_keeps_a_wave(count):
+    """With `flow=midpoint` a wave in steps of T/20 loses under 1 % a period, and is slower by (omega dt)^2/12.
+
+    Backward Euler leaves a twentieth of it. The kernel's smoothing slows it by 0.3 to 0.4 (k dx)^2 more.
+    """
+    run = v.marangoni_wave(30, l_per_e=4, periods=1.0, steps_per_period=count, flow="midpoint", tolerance=1e-6)
+    late = (2.0 * math.pi / count) ** 2 / 12.0
+    assert abs(run["damping"]) < 0.01
+    assert 0.2 < (-run["error"] - late) / run["k_dx"] ** 2 < 0.5
+
+
+def test_midpoint_rule_is_of_second_order_in_the_step():
+    """Frequencies in steps of T/12, T/24 and T/48 differ by 4 : 1, within 10 %."""
+    c = [
+        v.marangoni_wave(20, 4, periods=1.0, steps_per_period=n, flow="midpoint", tolerance=1e-6) for n in (12, 24, 48)
+    ]
+    speed = [run["measured"] for run in runs]
+    assert (speed[1] - speed[0]) / (speed[2] - speed[1]) == pytest.approx(4.0, rel=0.1)
+
+
+def test_midpoint_rule_neither_feeds_nor_drains_a_vortex():
+    """Energy after a turnover differs by under 2 % from that of backward Euler, whose losses straight paths make up."""
+    kept = [v.taylor_vortex(24, 4, turns=1.0, flow=flow)["measured"] for flow in ("backward_euler", "midpoint")]
+    assert kept[1] == pytest.approx(kept[0], abs=0.02)
 
 
 @pytest.mark.slow
@@ -42,6 +71,22 @@ def test_shear_flow_decays(force):
     Backward Euler takes half of 1/50 off the rate, the kernel adds 0.4 (k dx)^2 = 0.7 % to the viscous one.
     """
     assert abs(v.shear_decay(**force, cells=24, l_per_e=4, count=50)["error"]) < 0.02
+
+
+def test_midpoint_rule_decays_as_theory_says():
+    """Drag in five steps of a fifth of its time: within 1.5 %, where backward Euler takes 9 % off the rate."""
+    rates = [
+        v.shear_decay(drag=0.01, cells=24, l_per_e=4, count=5, flow=flow)["error"]
+        for flow in ("midpoint", "backward_euler")
+    ]
+    assert abs(rates[0]) < 0.015
+    assert rates[1] < -0.05
+
+
+def test_midpoint_rule_does_not_ring_in_long_steps():
+    """Drag in steps of 20 of its times: what is left of a flow halves at least, in each step."""
+    run = v.shear_decay(drag=0.2, cells=14, l_per_e=4, count=6, dt=20.0 * 4e-7 * 997.0 / 0.2, flow="midpoint")
+    assert run["measured"] * run["dt"] == pytest.approx(math.log(2.0), rel=0.01)
 
 
 def test_a_rim_feeds_no_flow():
