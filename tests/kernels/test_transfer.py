@@ -198,7 +198,7 @@ def test_any_blend_conserves_momentum(flip, affinity, device):
 
 def test_l_carry_on_the_velocity_of_the_end_and_move_with_that_of_the_middle(device):
     """After `add_rest` u and the affine state are those of u_E + rest, to rounding; v is still that of u_E."""
-    film, s = make_stepper(SHAPES["sphere"], 600, device, l_per_e=8)
+    _, s = make_stepper(SHAPES["sphere"], 600, device, l_per_e=8)
     fill_l(s)
     s.transfer.l_to_e()
     rest = np.cross(f64(s.state.e.x), [3.0, 1.0, 2.0]).astype(np.float32)

@@ -33,7 +33,7 @@ def test_midpoint_rule_keeps_a_wave(count):
 
 def test_midpoint_rule_is_of_second_order_in_the_step():
     """Frequencies in steps of T/12, T/24 and T/48 differ by 4 : 1, within 10 %."""
-    c = [
+    runs = [
         v.marangoni_wave(20, 4, periods=1.0, steps_per_period=n, flow="midpoint", tolerance=1e-6) for n in (12, 24, 48)
     ]
     speed = [run["measured"] for run in runs]
