@@ -3,7 +3,7 @@
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import Blocks, gather_blocks, moment_row, vec12, weigh_row, write_pack
+from melp_warp.kernels.rows import Blocks, gather_blocks, mat58, moment_row, vec12, weigh_row, write_pack
 from melp_warp.kernels.sph import kernel_w, tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -152,8 +152,22 @@ def pack_e(
 
 
 @wp.func
-def slope_along(n: wp.vec3, cov: wp.mat33, b: wp.mat33) -> wp.mat33:
-    """B D^-1 in the plane normal to n, D = `cov` that of the positions; 0 where they lie on one line."""
+def velocity_of(sums: mat58, n: wp.vec3):
+    """Mean velocity (16), its slope B D^-1 (17) in the plane normal to n, and mean offset of the E, from `moment_row`.
+
+    The slope is 0 where the E lie on one line.
+    """
+    second = wp.mat33()
+    moment = wp.mat33()
+    for a in range(3):
+        for c in range(3):
+            second[a, c] = sums[a + 1, c]
+            moment[c, a] = sums[a + 1, 3 + c]
+    total = sums[0, 6]
+    first = wp.vec3(sums[0, 0], sums[0, 1], sums[0, 2]) / total
+    velocity = wp.vec3(sums[0, 3], sums[0, 4], sums[0, 5]) / total
+    b = moment / total - wp.outer(velocity, first)
+    cov = second / total - wp.outer(first, first)
     e1, e2 = tangent_basis(n)
     d11 = wp.dot(e1, cov * e1)
     d12 = wp.dot(e1, cov * e2)
@@ -164,7 +178,7 @@ def slope_along(n: wp.vec3, cov: wp.mat33, b: wp.mat33) -> wp.mat33:
         b1 = b * e1
         b2 = b * e2
         slope = wp.outer((d22 * b1 - d12 * b2) / det, e1) + wp.outer((d11 * b2 - d12 * b1) / det, e2)
-    return slope
+    return velocity, slope, first
 
 
 @wp.kernel
@@ -201,21 +215,9 @@ def gather_e_to_l(
     sums = moment_row(i, p, pack, weight, rows)
     total = sums[0, 6]
     growth = sums[0, 7]
-    first = wp.vec3(sums[0, 0], sums[0, 1], sums[0, 2])
-    velocity = wp.vec3(sums[0, 3], sums[0, 4], sums[0, 5])
-    n = wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2])
-    second = wp.mat33()
-    moment = wp.mat33()
-    for a in range(3):
-        for c in range(3):
-            second[a, c] = sums[a + 1, c]
-            moment[c, a] = sums[a + 1, 3 + c]
     if total > 0.0:
-        n = wp.normalize(n)
-        first = first / total
-        velocity = velocity / total
-        b = moment / total - wp.outer(velocity, first)
-        affine = slope_along(n, second / total - wp.outer(first, first), b)
+        n = wp.normalize(wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2]))
+        velocity, affine, first = velocity_of(sums, n)
         u_l[i] = velocity
         affine_l[i] = affine
         v_l[i] = velocity - affine * first
@@ -250,19 +252,10 @@ def add_rest_l(
     """
     i = rows.first + wp.tid()
     sums = moment_row(i, x_l[i], pack, weight, rows)
-    total = sums[0, 6]
-    if total > 0.0:
-        first = wp.vec3(sums[0, 0], sums[0, 1], sums[0, 2]) / total
-        rest = wp.vec3(sums[0, 3], sums[0, 4], sums[0, 5]) / total
-        second = wp.mat33()
-        moment = wp.mat33()
-        for a in range(3):
-            for c in range(3):
-                second[a, c] = sums[a + 1, c]
-                moment[c, a] = sums[a + 1, 3 + c]
-        cov = second / total - wp.outer(first, first)
+    if sums[0, 6] > 0.0:
+        rest, slope, _ = velocity_of(sums, normal_l[i])
         u_l[i] += rest
-        affine_l[i] += slope_along(normal_l[i], cov, moment / total - wp.outer(rest, first))
+        affine_l[i] += slope
 
 
 @wp.kernel

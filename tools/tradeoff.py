@@ -87,8 +87,9 @@ NOTES = """\
   1e-11 instead of 1e-8. Take it to tell rounding from the scheme, not for a better picture.
 * **One layer**, explicit, is the most accurate where a thin film evens out against the air's drag, for six times the
   time; drainage is off by two to thirty times as much, and a vortex is gone within a turn. See docs/single-layer.md.
-* **`draft` is on every front, to the noise of a cost.** **`standard`** is on those of a bubble at rest, one that rings
-  and a film that evens out, and off the others by what `flip` keeps of vortices and the midpoint rule of waves.
+* **`draft`** is on every front but that of the bubble at rest, where 480 E are too few for the second core.
+  **`standard`** is on those of a bubble at rest, one that rings and a film that evens out, a little off that of
+  drainage, and off the others by what `flip` keeps of vortices and the midpoint rule of waves.
   **`fine`** refines spacing and step and is on the front of waves and of a film that evens out, with a twentieth and a
   sixteenth of the error of `standard`. It is off five fronts. Of the bubble that rests, as SPH happens to be exact on
   an even sphere. Of the one that rings, as its errors of the spacing and of T/40 cancel at 1,200 E to a third of

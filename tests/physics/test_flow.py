@@ -23,11 +23,11 @@ def test_marangoni_wave_speed(l_order):
 def test_midpoint_rule_keeps_a_wave(count):
     """With `flow=midpoint` a wave in steps of T/20 loses under 1 % a period, and is slower by (omega dt)^2/12.
 
-    Backward Euler leaves a twentieth of it. The kernel's smoothing slows it by 0.3 to 0.4 (k dx)^2 more.
+    Backward Euler leaves 38 % at T/20 (`exact_damping`). The kernel's smoothing slows it by 0.3 to 0.4 (k dx)^2 more.
     """
     run = v.marangoni_wave(30, l_per_e=4, periods=1.0, steps_per_period=count, flow="midpoint", tolerance=1e-6)
     late = (2.0 * math.pi / count) ** 2 / 12.0
-    assert abs(run["damping"]) < 0.01
+    assert abs(run["damping"]) < 0.006
     assert 0.2 < (-run["error"] - late) / run["k_dx"] ** 2 < 0.5
 
 
@@ -74,13 +74,16 @@ def test_shear_flow_decays(force):
 
 
 def test_midpoint_rule_decays_as_theory_says():
-    """Drag in five steps of a fifth of its time: within 1.5 %, where backward Euler takes 9 % off the rate."""
+    """Drag in steps h = 1/5 of its time: log((1 + h/2)/(1 - h/2))/h = 1.003 times the rate, within 0.3 %.
+
+    Backward Euler has log(1 + h)/h = 0.912 times.
+    """
     rates = [
         v.shear_decay(drag=0.01, cells=24, l_per_e=4, count=5, flow=flow)["error"]
         for flow in ("midpoint", "backward_euler")
     ]
-    assert abs(rates[0]) < 0.015
-    assert rates[1] < -0.05
+    assert rates[0] == pytest.approx(0.0034, abs=3e-3)
+    assert rates[1] == pytest.approx(-0.0884, abs=3e-3)
 
 
 def test_midpoint_rule_does_not_ring_in_long_steps():
