@@ -67,20 +67,40 @@ def shift_origin_e(shift: wp.vec3, x: wp.array(dtype=wp.vec3)):
 @wp.kernel
 def advance_l(
     v: wp.array(dtype=wp.vec3),
+    affine: wp.array(dtype=wp.mat33),
+    normal: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
     end: wp.array(dtype=wp.vec3),
+    bend: float,
     dt: wp.array(dtype=float),
     # outputs
     x: wp.array(dtype=wp.vec3),
 ):
-    """Move L with the material velocity, and with the film as a whole as E do. [n_l], m.
+    """Move L with the material velocity, and with the film as a whole as E do.
 
     The velocity is that of the end of the step, when the film as a whole moves at `end`; in the step it moves at
     `frame`. A midpoint scheme would otherwise leave the L of an accelerating bubble behind its E.
+
+    Half a step along its path an L meets the velocity v + 1/2 dt B D^-1 w, w its own along the film: with that it moves
+    on a path of second order.
+
+    Args:
+        v: [n_l] velocity at the particle, m/s.
+        affine: [n_l] velocity gradient B D^-1, 1/s.
+        normal: [n_l] unit normals.
+        region: [n_l] region of each L.
+        frame: [regions] velocity of each region as a whole in the step, m/s.
+        end: [regions] that at its end, m/s.
+        bend: 1 for paths of second order, 0 for straight ones.
+        dt: [1] s.
+        x: [n_l] m.
     """
     i = wp.tid()
-    x[i] = x[i] + dt[0] * (v[i] + frame[region[i]] - end[region[i]])
+    h = dt[0]
+    own = v[i] - end[region[i]]
+    turned = (0.5 * bend * h) * (affine[i] * tangential(own, normal[i]))
+    x[i] = x[i] + h * (own + turned + frame[region[i]])
 
 
 @wp.kernel
@@ -93,9 +113,10 @@ def project_l(
     # outputs
     x_l: wp.array(dtype=wp.vec3),
 ):
-    """Put each L on the surface: the weighted mean of its heights above the quadratic fits of nearby E.
+    """Put each L on the surface, where the weighted mean of its heights above the quadratic fits of nearby E is 0.
 
-    One fit an E serves all its L, in place of one fit an L (Proj of section 4.8).
+    A step of Newton's method along the mean normal, so that an L on the surface stays where it is. One fit an E serves
+    all its L, in place of one fit an L (Proj of section 4.8).
 
     Args:
         x_e: [n] m.

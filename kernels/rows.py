@@ -866,7 +866,7 @@ def turn_entries(begin: int, end: int, beta: float, z: wp.array(dtype=float), p:
     const float* fits = (const float*)surface.data;
     const float px = p[0], py = p[1], pz = p[2], scale = 3.0f / r;
     const int room = 64;
-    float ws[room], shift[3] = {{}}, total = 0.0f;
+    float ws[room], n[3] = {{}}, height = 0.0f, total = 0.0f;
     int kept[room];
     for (int from = first; from < last; from += room)
     {{
@@ -892,14 +892,15 @@ def turn_entries(begin: int, end: int, beta: float, z: wp.array(dtype=float), p:
             const float gx = fit[3] - (fit[6] * dx + fit[7] * dy + fit[8] * dz);
             const float gy = fit[4] - (fit[9] * dx + fit[10] * dy + fit[11] * dz);
             const float gz = fit[5] - (fit[12] * dx + fit[13] * dy + fit[14] * dz);
-            const float height = w * (dx * gx + dy * gy + dz * gz);
+            height += w * (dx * gx + dy * gy + dz * gz);
             total += w;
             for (int c = 0; c < 3; ++c)
-                shift[c] += height * fit[c];
+                n[c] += w * fit[c];
         }}
     }}
-    const float inverse = total > 0.0f ? 1.0f / total : 0.0f;
-    return wp::vec_t<3, float>(inverse * shift[0], inverse * shift[1], inverse * shift[2]);
+    const float size = n[0] * n[0] + n[1] * n[1] + n[2] * n[2], least = 0.25f * total * total;
+    const float move = total > 0.0f ? height / (size > least ? size : least) : 0.0f;
+    return wp::vec_t<3, float>(move * n[0], move * n[1], move * n[2]);
 """)
 def height_over_fits(
     i: int,
@@ -910,8 +911,10 @@ def height_over_fits(
     r: float,
     limit: int,
 ) -> wp.vec3:
-    """Mean of (d.(gradient - second d)) normal over the fits of row i below index `limit`, d = p - x_j, weighed with W.
+    """F/|N|^2 N, F the mean height d.(gradient - second d) above fits and N their mean normal, d = p - x_j, weights W.
 
-    0 where none is within r.
+    Over the fits of row i below index `limit`; |N| is taken for at least 1/2, the result is 0 where none is within r.
+    All along one direction: a point where F is 0 stays. Each height along its own normal would draw points along the
+    surface into a crease, a little every time.
     """
     ...

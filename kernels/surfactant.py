@@ -231,42 +231,34 @@ def assemble_viscosity_e(
 
 
 @wp.kernel
-def find_rest_e(
+def extrapolate_e(
     before: wp.array(dtype=wp.vec3),
-    u: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     beyond: wp.array(dtype=float),
     # outputs
-    rest: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
 ):
-    """What the tangential velocity after theta dt, u, lacks of that after dt: 1/theta - 1 = `beyond` of its change.
+    """The tangential velocity after dt from that after theta dt, by 1/theta - 1 of its change.
 
     Args:
         before: [n] at the start of the step, m/s.
-        u: [n] m/s.
         normal: [n] unit normals.
         beyond: [1] 1/theta - 1.
-        rest: [n_e] m/s.
+        u: [n_e] m/s.
     """
     i = wp.tid()
-    rest[i] = beyond[0] * tangential(u[i] - before[i], normal[i])
+    u[i] += beyond[0] * tangential(u[i] - before[i], normal[i])
 
 
 @wp.kernel
-def add_rest_e(rest: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3)):
-    """u += rest. [n_e], m/s."""
-    i = wp.tid()
-    u[i] += rest[i]
-
-
-@wp.kernel
-def replace_tangential_e(
-    ut: wp.array(dtype=wp.vec3),
+def join_velocity_e(
+    along: wp.array(dtype=wp.vec3),
+    across: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
-    """Replace the tangential part of u. [n_e], m/s."""
+    """The tangential part of `along` and the normal part of `across`, either of which may be u. [n_e], m/s."""
     i = wp.tid()
     n = normal[i]
-    u[i] = tangential(ut[i], n) + wp.dot(u[i], n) * n
+    u[i] = tangential(along[i], n) + wp.dot(across[i], n) * n

@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.rows import Blocks, gather_blocks, mat58, moment_row, vec12, weigh_row, write_pack
-from melp_warp.kernels.sph import kernel_w, tangent_basis, tangential
+from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
 
@@ -187,6 +187,8 @@ def gather_e_to_l(
     pack: wp.array(dtype=vec12),
     weight: wp.array(dtype=float),
     rows: Neighbors,
+    kept: float,
+    beyond: wp.array(dtype=float),
     # outputs
     u_l: wp.array(dtype=wp.vec3),
     affine_l: wp.array(dtype=wp.mat33),
@@ -196,6 +198,9 @@ def gather_e_to_l(
 ):
     """Velocity (16), affine state (17), inertia (18) and thickness (8) of each L.
 
+    The velocity that L move with is that of the E, the one they carry on, and the affine state, are extrapolated to the
+    end of the step and hold what `look_back_l` found, where it ran.
+
     With the weights of (6), over E alone: a round trip then cannot add energy. With boundary particles in these sums
     and not in those, a flow along a rim fed on the difference.
 
@@ -204,6 +209,8 @@ def gather_e_to_l(
         pack: [n] positions, velocities, normals and relative change of the thickness in this step, see `pack_e`.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
+        kept: 1 where `look_back_l` ran, else 0.
+        beyond: [1] 1/theta - 1, for u_E after theta dt.
         u_l: [n_l] carried velocity sum W^ u_E, m/s.
         affine_l: [n_l] B D^-1 with differences of position in the tangent plane, 1/s.
         v_l: [n_l] velocity at the particle itself, m/s.
@@ -218,89 +225,49 @@ def gather_e_to_l(
     if total > 0.0:
         n = wp.normalize(wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2]))
         velocity, affine, first = velocity_of(sums, n)
-        u_l[i] = velocity
-        affine_l[i] = affine
+        u_l[i] = (1.0 + beyond[0]) * velocity + kept * u_l[i]
+        affine_l[i] = (1.0 + beyond[0]) * affine + kept * affine_l[i]
         v_l[i] = velocity - affine * first
         normal_l[i] = n
         eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))
 
 
 @wp.kernel
-def add_rest_l(
+def look_back_l(
     x_l: wp.array(dtype=wp.vec3),
-    normal_l: wp.array(dtype=wp.vec3),
     pack: wp.array(dtype=vec12),
     weight: wp.array(dtype=float),
     rows: Neighbors,
+    flip: float,
+    beyond: wp.array(dtype=float),
     # outputs
     u_l: wp.array(dtype=wp.vec3),
     affine_l: wp.array(dtype=wp.mat33),
 ):
-    """Add to the velocity (16) and the affine state (17) of each L those of the pack's velocities.
+    """What L carry on of the velocities before the step; `gather_e_to_l` adds those after it.
 
-    The velocity that L move with, of `gather_e_to_l`, is then that of the step's middle, the one they carry on that of
-    its end.
+    FLIP (Brackbill and Ruppel 1986) keeps of an L its own velocity less what the E make of it, u_L - sum W^ u_E, here
+    the share `flip` of it along the film: the normal motion is the E's. Its mass-weighted sum over the L is 0, as the
+    E hold the momentum of the L. What is extrapolated to the end of a step from u_E after theta dt,
+    u_E' + (1/theta - 1)(u_E' - u_E), has -(1/theta - 1) u_E in it.
 
     Args:
         x_l: [n_l] m.
-        normal_l: [n_l] unit normals.
-        pack: [n] as in `gather_e_to_l`, but what the velocities lack of those at the end of the step.
+        pack: [n] as in `gather_e_to_l`, with the velocities before the step.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
-        u_l: [n_l] m/s.
-        affine_l: [n_l] 1/s.
+        flip: share of the departure that is kept, 0 to 1.
+        beyond: [1] 1/theta - 1.
+        u_l: [n_l] carried velocity; then flip (u_L - sum W^ u_E) - (1/theta - 1) sum W^ u_E, m/s.
+        affine_l: [n_l] affine state, then -(1/theta - 1) times that of the pack's velocities, 1/s.
     """
     i = rows.first + wp.tid()
     sums = moment_row(i, x_l[i], pack, weight, rows)
     if sums[0, 6] > 0.0:
-        rest, slope, _ = velocity_of(sums, normal_l[i])
-        u_l[i] += rest
-        affine_l[i] += slope
-
-
-@wp.kernel
-def keep_fluctuation_l(
-    u_l: wp.array(dtype=wp.vec3),
-    u_e: wp.array(dtype=wp.vec3),
-    weight: wp.array(dtype=float),
-    rows: Neighbors,
-    share: float,
-    # outputs
-    kept: wp.array(dtype=wp.vec3),
-):
-    """What FLIP keeps of an L: `share` times u_L - sum W^ u_E, its own velocity less what the E make of it.
-
-    Added to the velocity (16) of the step's end, u_L = sum W^ u_E' + kept, it gives for share 1 u_L + sum W^ (u_E' -
-    u_E): FLIP (Brackbill and Ruppel 1986), here with the affine part of APIC kept on top. The mass-weighted sum of
-    u_L - sum W^ u_E over the L is 0, as the E hold the momentum of the L.
-
-    Args:
-        u_l: [n_l] carried velocity at the start of the step, m/s.
-        u_e: [n] the velocity that E received from L, before any force, m/s.
-        weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
-        rows: L:E neighbours.
-        share: of the fluctuation that is kept, 0 to 1.
-        kept: [n_l] m/s.
-    """
-    i = rows.first + wp.tid()
-    total = float(0.0)
-    mean = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        w = weight[k]
-        if w > 0.0:
-            total += w
-            mean += w * u_e[rows.index[k]]
-    own = wp.vec3()
-    if total > 0.0:
-        own = share * (u_l[i] - mean / total)
-    kept[i] = own
-
-
-@wp.kernel
-def add_fluctuation_l(kept: wp.array(dtype=wp.vec3), normal_l: wp.array(dtype=wp.vec3), u_l: wp.array(dtype=wp.vec3)):
-    """u_L += the part of `kept` along the film: the normal motion is the E's. [n_l], m/s."""
-    i = wp.tid()
-    u_l[i] += tangential(kept[i], normal_l[i])
+        n = wp.normalize(wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2]))
+        mean, slope, _ = velocity_of(sums, n)
+        u_l[i] = flip * tangential(u_l[i] - mean, n) - beyond[0] * mean
+        affine_l[i] = -beyond[0] * slope
 
 
 @wp.kernel
@@ -338,43 +305,3 @@ def thickness_growth_e(
         near = wp.clamp(mismatch, -most, most)
         mended = rate[0] * (near - wp.clamp(near, -slack, slack)) + mismatch - near
     growth[i] = mended - dt[0] * dilation[i]
-
-
-@wp.kernel
-def interpolate_velocity_l(
-    x_l: wp.array(dtype=wp.vec3),
-    v_l: wp.array(dtype=wp.vec3),
-    affine_l: wp.array(dtype=wp.mat33),
-    normal_l: wp.array(dtype=wp.vec3),
-    region: wp.array(dtype=wp.int32),
-    frame: wp.array(dtype=wp.vec3),
-    dt: wp.array(dtype=float),
-    x_e: wp.array(dtype=wp.vec3),
-    u_e: wp.array(dtype=wp.vec3),
-    rows: Neighbors,
-    r: float,
-    n_e: int,
-    # outputs
-    v_mid: wp.array(dtype=wp.vec3),
-):
-    """Velocity half a step along the path of each L, for the second-order advance. [n_l], m/s.
-
-    The path is that along the film and relative to the film as a whole: E have not moved yet.
-    """
-    i = rows.first + wp.tid()
-    p = x_l[i] + 0.5 * dt[0] * tangential(v_l[i] - frame[region[i]], normal_l[i])
-    total = float(0.0)
-    first = wp.vec3()
-    velocity = wp.vec3()
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        if j < n_e:
-            d = x_e[j] - p
-            w = kernel_w(wp.length(d), r)
-            total += w
-            first += w * d
-            velocity += w * u_e[j]
-    v = v_l[i]
-    if total > 0.0:
-        v = (velocity - affine_l[i] * first) / total
-    v_mid[i] = v

@@ -9,7 +9,6 @@ from melp_warp.geometry import Geometry
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import boundary as kb
 from melp_warp.kernels import redistribute as kr
-from melp_warp.kernels import transfer as kt
 from melp_warp.launch import copy
 from melp_warp.linear import ConjugateGradient, LinearOperator
 from melp_warp.neighbors import NeighborLists
@@ -101,44 +100,16 @@ class Redistribution:
 
 
 class LagrangianAdvance:
-    """Motion of L with the material, kept on the surface. Made only for films with L.
-
-    Attributes:
-        velocity: [n_l] velocity to advance with, m/s: that at the particle, or half a step ahead.
-    """
+    """Motion of L with the material, kept on the surface. Made only for films with L."""
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
-        self.velocity = film.zeros(film.n_l, wp.vec3) if film.numerics.curved_paths else state.l.v
-
-    def find_velocity(self, x_e: wp.array, frame: wp.array, dt: wp.array) -> None:
-        """Find `velocity` for a step dt, E still at x_e."""
-        film, lag = self.film, self.state.l
-        if self.velocity is lag.v:
-            return
-        film.launch_l(
-            kt.interpolate_velocity_l,
-            [
-                lag.x,
-                lag.v,
-                lag.affine,
-                lag.normal,
-                lag.region,
-                frame,
-                dt,
-                x_e,
-                self.state.e.u,
-                self.lists.le.rows,
-                film.r,
-                film.n_e,
-            ],
-            [self.velocity],
-        )
 
     def advance(self, frame: wp.array, end: wp.array, dt: wp.array) -> None:
-        """Move L by dt (velocity + frame - end), put them onto the surface, keep them inside the rim (Algorithm 7)."""
+        """Move L by dt (v + frame - end), put them onto the surface, keep them inside the rim (Algorithm 7)."""
         film, lag = self.film, self.state.l
-        film.launch_l(ka.advance_l, [self.velocity, lag.region, frame, end, dt], [lag.x])
+        bend = 1.0 if film.numerics.curved_paths else 0.0
+        film.launch_l(ka.advance_l, [lag.v, lag.affine, lag.normal, lag.region, frame, end, bend, dt], [lag.x])
         if film.features.moving:
             self.project()
         if film.rim is not None:

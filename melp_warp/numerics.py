@@ -80,6 +80,11 @@ class Numerics:
         """
         return self.l_order == 2 or self.flow == "midpoint"
 
+    @property
+    def looks_back(self) -> bool:
+        """Whether what L carry on depends on the velocity of E before the step's forces."""
+        return self.flip > 0.0 or self.flow == "midpoint"
+
     def __post_init__(self):
         def number(name, low, high):
             value = getattr(self, name)

@@ -70,7 +70,7 @@ class Stepper:
         self.exchange = Exchange(film, state, self.lists, self.fields) if f.exchanges else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
         still = film.zeros(1, wp.vec3)
-        self.start, self.frame = (self.membrane.start, self.membrane.frame) if f.moving else (still, still)
+        self.frame = self.membrane.frame if f.moving else still
         # lists within a film move along with it; those between regions do not
         self.at_rest = film.zeros(film.regions, wp.vec3) if f.foam else self.frame
         self.dt = Setting(film.device)
@@ -176,11 +176,9 @@ class Stepper:
         self._guard_e("surfactant")
 
     def _scatter(self) -> None:
-        self.transfer.e_to_l(self.tangential.dilation, self.dt.array)  # (16)-(18), (8)
-        self.l_advance.find_velocity(self.state.e.x, self.start, self.dt.array)
-        if self.tangential.midpoint:
-            self.transfer.add_rest(self.tangential.rest)
-            self.tangential.finish()
+        flow = self.tangential
+        self.transfer.e_to_l(flow.dilation, flow.look_back(), flow.beyond, self.dt.array)  # (16)-(18), (8)
+        flow.finish()
         self._guard_l("e_to_l")
 
     def _advance_e(self) -> None:

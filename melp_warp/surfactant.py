@@ -60,8 +60,7 @@ class Tangential:
     Attributes:
         theta: share of the step that is solved for.
         dilation: [n_e] div_s u, 1/s: before the solve, then where `find_dilation` was called.
-        rest: [n] what the velocity of E lacks of that at the end of the step, until `finish` adds it, m/s; of the
-            midpoint rule alone.
+        before: [n] velocity of E before the solve, m/s; None where L do not look back at it.
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where the film does not recoil.
     """
 
@@ -81,7 +80,7 @@ class Tangential:
         self.midpoint = film.numerics.flow == "midpoint"
         self.theta, self._rate = 1.0, fastest_rate(film)
         self._ahead, self._beyond = Setting(film.device), Setting(film.device)
-        self._before, self.rest = (film.zeros(film.total if self.midpoint else 0, wp.vec3) for _ in range(2))
+        self.before = film.zeros(film.total, wp.vec3) if film.numerics.looks_back else None
         self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
         numerics = film.numerics
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
@@ -105,20 +104,32 @@ class Tangential:
     def solve(self) -> None:
         """Advance the tangential velocity of E by theta dt: viscosity, then (14) and (15)."""
         u, ahead = self.state.e.u, self._ahead.array
-        if self.midpoint:
-            copy(self._before, u)
+        if self.before is not None:
+            copy(self.before, u)
         if self.viscous is not None:
             self._diffuse(ahead)
         self.find_dilation()
         if self.solver is not None:
             self._solve_surfactant(ahead)
         self._accelerate(ahead)
-        if self.midpoint:
-            self.film.launch_e(ks.find_rest_e, [self._before, u, self.state.e.normal, self._beyond.array], [self.rest])
+
+    @property
+    def beyond(self) -> wp.array:
+        """[1] 1/theta - 1: the end of the step is further on by this share of the change so far."""
+        return self._beyond.array
+
+    def look_back(self) -> wp.array | None:
+        """`before` with the normal part that the velocity has now: that is not extrapolated."""
+        if self.before is not None:
+            e = self.state.e
+            self.film.launch_e(ks.join_velocity_e, [self.before, e.u, e.normal], [self.before])
+        return self.before
 
     def finish(self) -> None:
         """Take the velocity of E to the end of the step."""
-        self.film.launch_e(ks.add_rest_e, [self.rest, self.state.e.u])
+        if self.midpoint:
+            e = self.state.e
+            self.film.launch_e(ks.extrapolate_e, [self.before, e.normal, self.beyond], [e.u])
 
     def find_dilation(self) -> wp.array:
         """div_s u of the velocity as it is now, no flow through a rim. [n_e], 1/s."""
@@ -188,4 +199,4 @@ class Tangential:
             [solver.operator.diag, solver.operator.pair, solver.b, solver.x],
         )
         solver.solve()
-        film.launch_e(ks.replace_tangential_e, [solver.x, e.normal], [e.u])
+        film.launch_e(ks.join_velocity_e, [solver.x, e.u, e.normal], [e.u])

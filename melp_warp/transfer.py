@@ -38,8 +38,7 @@ class Transfer:
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
-        self._rate = Setting(film.device)
-        self._kept = film.zeros(film.n_l, wp.vec3) if film.numerics.flip > 0.0 else None
+        self._rate, self._nothing = Setting(film.device), film.zeros(1)
 
     def prepare(self, dt: float) -> None:
         """Set what depends on the step dt (s) to come."""
@@ -50,12 +49,6 @@ class Transfer:
         e = self.state.e
         self.gather()
         self.film.launch_e(kt.split_velocity_e, [e.mass, self.momentum, e.normal], [e.u])
-        if self._kept is not None:
-            self.film.launch_l(
-                kt.keep_fluctuation_l,
-                [self.state.l.u, e.u, self.weight, self.lists.le.rows, self.film.numerics.flip],
-                [self._kept],
-            )
 
     def gather(self) -> None:
         """The sums of (6) and (7) alone."""
@@ -83,25 +76,23 @@ class Transfer:
             [self.weight, self._given, self.lost],
         )
 
-    def e_to_l(self, dilation: wp.array, dt: wp.array) -> None:
-        """Velocity, affine state and thickness of L from E, (16)-(18) and (8)."""
-        film = self.film
-        film.launch_e(
+    def e_to_l(self, dilation: wp.array, before: wp.array | None, beyond: wp.array, dt: wp.array) -> None:
+        """Velocity, affine state and thickness of L from E, (16)-(18) and (8).
+
+        Args:
+            dilation: [n_e] div_s u, 1/s.
+            before: [n] velocity of E before the step's forces, m/s, that L look back at; None where they do not.
+            beyond: [1] 1/theta - 1 for a velocity of E after theta dt.
+            dt: [1] s.
+        """
+        self.film.launch_e(
             kt.thickness_growth_e,
             [dilation, self.claim, self.geometry.area, dt, self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT],
             [self.growth],
         )
-        self.gather_to_l()
-        if self._kept is not None:
-            film.launch_l(kt.add_fluctuation_l, [self._kept, self.state.l.normal], [self.state.l.u])
-
-    def add_rest(self, rest: wp.array) -> None:
-        """Give the velocity that L carry on what that of E lacks of the one at the end of the step, `rest` [n], m/s."""
-        film, e, lag = self.film, self.state.e, self.state.l
-        launch(kt.pack_e, film.total, [e.x, rest, e.normal, self.growth], [self._pack], film.device)
-        film.launch_l(
-            kt.add_rest_l, [lag.x, lag.normal, self._pack, self.weight, self.lists.le.rows], [lag.u, lag.affine]
-        )
+        if before is not None:
+            self._look_back(before, beyond)
+        self._gather_to_l(beyond, 0.0 if before is None else 1.0)
 
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
@@ -111,13 +102,26 @@ class Transfer:
 
     def gather_to_l(self) -> None:
         """The sums of (16)-(18), and the thickness of L grown by `growth`."""
-        film, e, lag = self.film, self.state.e, self.state.l
-        launch(kt.pack_e, film.total, [e.x, e.u, e.normal, self.growth], [self._pack], film.device)
+        self._gather_to_l(self._nothing, 0.0)
+
+    def _look_back(self, before: wp.array, beyond: wp.array) -> None:
+        film, lag = self.film, self.state.l
+        self._pack_e(before)
         film.launch_l(
+            kt.look_back_l,
+            [lag.x, self._pack, self.weight, self.lists.le.rows, film.numerics.flip, beyond],
+            [lag.u, lag.affine],
+        )
+
+    def _pack_e(self, u: wp.array) -> None:
+        film, e = self.film, self.state.e
+        launch(kt.pack_e, film.total, [e.x, u, e.normal, self.growth], [self._pack], film.device)
+
+    def _gather_to_l(self, beyond: wp.array, kept: float) -> None:
+        lag = self.state.l
+        self._pack_e(self.state.e.u)
+        self.film.launch_l(
             kt.gather_e_to_l,
-            [
-                *(lag.x, self._pack, self.weight),
-                self.lists.le.rows,
-            ],
+            [lag.x, self._pack, self.weight, self.lists.le.rows, kept, beyond],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],
         )

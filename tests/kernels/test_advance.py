@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp.shapes import Ellipsoid, Sphere
+from melp_warp.shapes import Disc, Ellipsoid, Sphere
 from tests.helpers import Jittered, fitted_order, make_stepper
 
 RADIUS = 0.05
@@ -113,3 +113,19 @@ def test_projection_moves_along_the_normal(device):
     along = np.linalg.norm(moved - np.sum(moved * n, axis=1, keepdims=True) * n, axis=1)
     print(f"along the surface {along.max() / film.spacing:.1e} dx")
     assert along.max() < 0.02 * film.spacing
+
+
+def test_paths_of_second_order_keep_to_the_circle(device):
+    """In a rotation of h = 0.2 rad a step an L leaves its circle by h^4/8 of the radius; straight on by h^2/2."""
+    spin, h = 5.0, 0.2
+    for l_order, growth in ((1, 0.5 * h**2), (2, 0.125 * h**4)):
+        film, s = make_stepper(Disc(RADIUS), 400, device, l_per_e=8, numerics={"l_order": l_order})
+        lag = s.state.l
+        x = f64(lag.x)
+        inner = np.hypot(x[:, 0], x[:, 2]) < 0.5 * RADIUS
+        turn = spin * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+        lag.v.assign((x @ turn.T).astype(np.float32))
+        lag.affine.assign(np.tile(turn, (film.n_l, 1, 1)).astype(np.float32))
+        s.l_advance.advance(s.frame, s.frame, s.prepare(h / spin))
+        radius = np.hypot(*f64(lag.x)[inner][:, [0, 2]].T) / np.hypot(*x[inner][:, [0, 2]].T)
+        assert radius - 1.0 == pytest.approx(growth, rel=0.02, abs=1e-5)

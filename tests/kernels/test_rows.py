@@ -414,7 +414,7 @@ def evaluate_heights(
 
 
 def test_height_over_fits(device):
-    """`height_over_fits`: weighted mean of the heights over the fits along their normals; 0 where none is near."""
+    """`height_over_fits`: mean height over the length of the mean normal, along it; 0 where none is near."""
     rng = np.random.default_rng(7)
     x, p = rng.uniform(-0.5, 0.5, (2, N, 3))
     p[4] = 9.0
@@ -432,7 +432,8 @@ def test_height_over_fits(device):
         w = spline(3.0 * np.linalg.norm(d, axis=1) / R)
         height = np.sum(d * (gradient[j] - np.einsum("kab,kb->ka", second[j], d)), axis=1)
         if w.sum() > 0.0:
-            expected[i] = (w * height) @ normal[j] / w.sum()
+            mean = w @ normal[j] / w.sum()
+            expected[i] = w @ height / w.sum() * mean / max(mean @ mean, 0.25)
     agree(out.numpy(), expected)
 
 

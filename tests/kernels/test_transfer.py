@@ -145,7 +145,7 @@ def test_thickness_follows_dilation(device):
     wp.copy(s.transfer.claim, s.geometry.area)
     before = f64(s.state.l.eta)
     dilation = wp.full(film.n_e, 12.0, dtype=float, device=device)
-    s.transfer.e_to_l(dilation, s.prepare(0.01))
+    s.transfer.e_to_l(dilation, None, film.zeros(1), s.prepare(0.01))
     assert f64(s.state.l.eta) / before == pytest.approx(np.exp(-0.12), rel=1e-5)
 
 
@@ -157,16 +157,22 @@ def test_thickness_relaxes_to_that_of_e(device):
     lag.eta.assign((before / 1.25).astype(np.float32))
     s.transfer.gather()
     tau = film.numerics.thickness_time
-    s.transfer.e_to_l(film.zeros(film.n_e), s.prepare(tau * np.log(2.0)))
+    to_l(film, s, tau * np.log(2.0))
     expected = 0.5 * (np.log(1.25) - THICKNESS_SLACK)
     assert np.log(f64(lag.eta) / before * 1.25).mean() == pytest.approx(expected, abs=0.005)
     for _ in range(12):
         s.transfer.gather()
-        s.transfer.e_to_l(film.zeros(film.n_e), s.prepare(10.0 * tau))
+        to_l(film, s, 10.0 * tau)
     s.transfer.gather()
     claim = f64(s.transfer.claim) / f64(s.geometry.area)
     print(f"claim/area after: {claim.min():.3f} to {claim.max():.3f}")
     assert np.abs(np.log(claim)).max() < 1.5 * THICKNESS_SLACK
+
+
+def to_l(film, s, dt, before=None, beyond=0.0):
+    """E to L without dilation; `before` the velocity of E before the step's forces."""
+    before = None if before is None else wp.array(before, dtype=wp.vec3, device=film.device)
+    s.transfer.e_to_l(film.zeros(film.n_e), before, wp.full(1, beyond, dtype=float, device=film.device), s.prepare(dt))
 
 
 def in_plane(film, s, seed=2):
@@ -186,10 +192,11 @@ def test_any_blend_conserves_momentum(flip, affinity, device):
     mass = f64(s.state.l.mass)[:, None]
     before = (mass * f64(s.state.l.u)).sum(axis=0)
     s.transfer.l_to_e()
+    held = s.state.e.u.numpy().copy()
     gain = np.zeros((film.total, 3))
     gain[: film.n_e] = np.random.default_rng(3).normal(size=(film.n_e, 3)) * [1.0, 0.0, 1.0]
     s.state.e.u.assign((f64(s.state.e.u) + gain).astype(np.float32))
-    s.transfer.e_to_l(film.zeros(film.n_e), s.prepare(1e-3))
+    to_l(film, s, 1e-3, held)
     given = (f64(s.state.e.mass)[:, None] * gain[: film.n_e]).sum(axis=0)
     after = (mass * f64(s.state.l.u)).sum(axis=0)
     assert np.abs(after - before - given).max() < 1e-6 * (mass * np.abs(f64(s.state.l.u))).sum()
@@ -197,17 +204,18 @@ def test_any_blend_conserves_momentum(flip, affinity, device):
 
 
 def test_l_carry_on_the_velocity_of_the_end_and_move_with_that_of_the_middle(device):
-    """After `add_rest` u and the affine state are those of u_E + rest, to rounding; v is still that of u_E."""
-    _, s = make_stepper(SHAPES["sphere"], 600, device, l_per_e=8)
+    """u and the affine state of L are those of u_E + (1/theta - 1)(u_E - before), to rounding; v is that of u_E."""
+    film, s = make_stepper(SHAPES["sphere"], 600, device, l_per_e=8)
     fill_l(s)
     s.transfer.l_to_e()
-    rest = np.cross(f64(s.state.e.x), [3.0, 1.0, 2.0]).astype(np.float32)
+    change = np.cross(f64(s.state.e.x), [3.0, 1.0, 2.0]).astype(np.float32)
+    now = s.state.e.u.numpy().copy()
     s.transfer.start_l()
     v = f64(s.state.l.v)
-    s.transfer.add_rest(wp.array(rest, dtype=wp.vec3, device=device))
+    to_l(film, s, 1e-3, now - change, beyond=0.75)
     u, affine = f64(s.state.l.u), f64(s.state.l.affine)
     assert np.array_equal(f64(s.state.l.v), v)
-    s.state.e.u.assign(s.state.e.u.numpy() + rest)
+    s.state.e.u.assign(now + np.float32(0.75) * change)
     s.transfer.start_l()
     assert np.abs(u - f64(s.state.l.u)).max() < 1e-5 * np.abs(u).max()
     assert np.abs(affine - f64(s.state.l.affine)).max() < 1e-4 * np.abs(affine).max()
@@ -222,7 +230,7 @@ def test_flip_without_forces_leaves_each_l_its_velocity(device):
         s.state.l.affine.zero_()
         before = f64(s.state.l.u)
         s.transfer.l_to_e()
-        s.transfer.e_to_l(film.zeros(film.n_e), s.prepare(1e-3))
+        to_l(film, s, 1e-3, s.state.e.u.numpy())
         left[flip] = np.abs(f64(s.state.l.u) - before).max()
     assert left[1.0] < 1e-5
     assert left[0.0] > 1.0
@@ -235,7 +243,7 @@ def test_flip_leaves_the_normal_motion_to_the_e(device):
     for stepper in (s, p):
         fill_l(stepper)
         stepper.transfer.l_to_e()
-        stepper.transfer.e_to_l(plain.zeros(plain.n_e), stepper.prepare(1e-3))
+        to_l(plain, stepper, 1e-3, stepper.state.e.u.numpy())
     n = f64(s.state.l.normal)
     assert np.abs(np.sum((f64(s.state.l.u) - f64(p.state.l.u)) * n, axis=1)).max() < 1e-5
     assert np.abs(f64(s.state.l.u) - f64(p.state.l.u)).max() > 1.0

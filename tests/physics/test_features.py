@@ -58,8 +58,8 @@ def test_a_coefficient_of_zero_is_the_feature_off(name):
 def test_no_flip_is_the_limit_of_little_and_makes_nothing():
     """A tiny share changes next to nothing, a real one does; none has no buffer."""
     off, tiny, real = (flat(flip=f) for f in (0.0, 1e-12, 0.9))
-    assert off.stepper.transfer._kept is None
-    assert tiny.stepper.transfer._kept is not None
+    assert off.stepper.tangential.before is None
+    assert tiny.stepper.tangential.before is not None
     assert differ(off, tiny) < 1e-5
     assert differ(off, real) > 1e-3
 
