@@ -211,6 +211,48 @@ def Ellipsoid(a: float, b: float, c: float) -> StarShaped:
     return StarShaped(radius, lambda d: 1.0 / (radius * np.linalg.norm(d / axes, axis=1)) - 1.0)
 
 
+@dataclass(frozen=True)
+class Jittered(Shape):
+    """A shape with its points moved along the surface at random: as E lie in the middle of a run.
+
+    Args:
+        shape: the shape.
+        amount: largest move, in spacings.
+        seed: of the moves.
+    """
+
+    shape: Shape
+    amount: float = 0.15
+    seed: int = 1
+
+    @property
+    def closed(self) -> bool:
+        return self.shape.closed
+
+    @property
+    def flat(self) -> bool:
+        return self.shape.flat
+
+    @property
+    def area(self) -> float:
+        return self.shape.area
+
+    def sample(self, count: int, offset: float = 0.0) -> Samples:
+        s = self.shape.sample(count, offset)
+        rng = np.random.default_rng(self.seed)
+        move = rng.uniform(-1.0, 1.0, s.points.shape)
+        move -= np.sum(move * s.normals, axis=1, keepdims=True) * s.normals
+        move *= (self.amount * rng.uniform(0.0, 1.0, len(move)) / np.linalg.norm(move, axis=1))[:, None]
+        points = self.shape.project(s.points + move * np.sqrt(s.area.mean()))
+        return Samples(points, s.normals, s.area)
+
+    def rim(self, spacing: float, width: float):
+        return self.shape.rim(spacing, width)
+
+    def extent(self) -> np.ndarray:
+        return self.shape.extent()
+
+
 class Revolution(Shape):
     """An open film made by turning a profile about the y axis, held by a rim at one or both ends.
 

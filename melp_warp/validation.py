@@ -21,7 +21,7 @@ from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
-from melp_warp.shapes import Disc, Rectangle, Sphere, displaced_sphere
+from melp_warp.shapes import Disc, Jittered, Rectangle, Sphere, displaced_sphere
 from melp_warp.simulation import Simulation
 
 GRAVITY = 9.81
@@ -185,22 +185,29 @@ def bessel_j0(x: np.ndarray) -> np.ndarray:
 
 
 def resting_bubble(
-    radius: float = 0.05, e_count: int = 5000, l_per_e: int = 0, dt: float = 1e-3, count: int = 40, **numerics
+    radius: float = 0.05,
+    e_count: int = 5000,
+    l_per_e: int = 0,
+    dt: float = 1e-3,
+    count: int = 40,
+    jitter: float = 0.0,
+    **numerics,
 ) -> dict:
     """A sphere at rest has the gauge pressure 4 sigma/R of the radius that its E have.
 
-    The surfactant is the trace of `Material()` where there are L; sigma is that of the film.
+    E start `jitter` spacings at most from even places. The surfactant is the trace of `Material()` where there are L;
+    sigma is that of the film.
 
     Returns:
-        Also `spurious_speed` (m/s, largest of E, relative to nothing), `capillary_speed` sqrt(2 sigma/m) to compare it
-        with, and `radius_spread` (max - min, relative).
+        Also `curvature_error` (rms over the E, against -2/R, relative), `spurious_speed` (m/s, largest of E, relative
+        to nothing), `capillary_speed` sqrt(2 sigma/m) to compare it with, and `radius_spread` (max - min, relative).
     """
     material = Material() if l_per_e else CLEAN
-    simulation = Simulation(
-        Scene("rest", Sphere(radius), e_count, l_per_e, material=material, numerics=Numerics(**numerics))
-    )
+    shape = Jittered(Sphere(radius), jitter) if jitter else Sphere(radius)
+    simulation = Simulation(Scene("rest", shape, e_count, l_per_e, material=material, numerics=Numerics(**numerics)))
     steps(simulation, count, dt)
     r = np.linalg.norm(e_points(simulation), axis=1)
+    kappa = simulation.stepper.geometry.curvature(simulation.state.e.x).numpy().astype(np.float64)
     exact = 4.0 * material.film_tension / r.mean()
     measured = float(simulation.state.gas.numpy()[0, 1])
     return {
@@ -208,10 +215,12 @@ def resting_bubble(
         "exact": exact,
         "measured": measured,
         "error": abs(measured / exact - 1.0),
+        "curvature_error": float(np.sqrt(np.mean((0.5 * r.mean() * kappa + 1.0) ** 2))),
         "spurious_speed": float(np.linalg.norm(e_velocities(simulation), axis=1).max()),
         "capillary_speed": math.sqrt(2.0 * material.film_tension / material.areal_mass),
         "radius_spread": float(np.ptp(r) / r.mean()),
-        **{"radius": radius, "e_count": e_count, "l_per_e": l_per_e, "dt": dt, "steps": count, **numerics},
+        **{"radius": radius, "e_count": e_count, "l_per_e": l_per_e, "dt": dt, "steps": count, "jitter": jitter},
+        **numerics,
     }
 
 

@@ -28,42 +28,6 @@ def spline(d, r=3.0):
 
 
 @dataclasses.dataclass(frozen=True)
-class Jittered(Shape):
-    """A shape whose points are moved along its surface by up to `amount` spacings, at random."""
-
-    shape: Shape
-    amount: float = 0.15
-    seed: int = 1
-
-    @property
-    def closed(self) -> bool:
-        return self.shape.closed
-
-    @property
-    def flat(self) -> bool:
-        return self.shape.flat
-
-    @property
-    def area(self) -> float:
-        return self.shape.area
-
-    def sample(self, count: int, offset: float = 0.0) -> Samples:
-        s = self.shape.sample(count, offset)
-        rng = np.random.default_rng(self.seed)
-        move = rng.uniform(-1.0, 1.0, s.points.shape)
-        move -= np.sum(move * s.normals, axis=1, keepdims=True) * s.normals
-        move *= (self.amount * rng.uniform(0.0, 1.0, len(move)) / np.linalg.norm(move, axis=1))[:, None]
-        points = self.shape.project(s.points + move * np.sqrt(s.area.mean()))
-        return Samples(points, s.normals, s.area)
-
-    def rim(self, spacing: float, width: float):
-        return self.shape.rim(spacing, width)
-
-    def extent(self) -> np.ndarray:
-        return self.shape.extent()
-
-
-@dataclasses.dataclass(frozen=True)
 class Patch(Shape):
     """An open surface given by its points and normals; nothing continues it beyond its edge."""
 

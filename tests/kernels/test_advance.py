@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp.shapes import Disc, Ellipsoid, Sphere
-from tests.helpers import Jittered, fitted_order, make_stepper
+from melp_warp.shapes import Disc, Ellipsoid, Jittered, Sphere
+from tests.helpers import fitted_order, make_stepper
 
 RADIUS = 0.05
 AXES = np.array([0.06, 0.05, 0.042])

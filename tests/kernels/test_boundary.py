@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from melp_warp.kernels import boundary as kb
-from melp_warp.shapes import Catenoid, Disc, Rectangle
-from tests.helpers import Jittered, fitted_order, make_stepper
+from melp_warp.shapes import Catenoid, Disc, Jittered, Rectangle
+from tests.helpers import fitted_order, make_stepper
 
 WIDTH, HEIGHT, RADIUS = 0.2, 0.1, 0.05
 SHEET = Rectangle(WIDTH, HEIGHT)

@@ -8,8 +8,8 @@ from melp_warp.kernels import geometry as kg
 from melp_warp.kernels.cells import voronoi_cell_e
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.shapes import Ellipsoid, Rectangle, Samples, Sphere
-from tests.helpers import Jittered, Patch, fitted_order, make_rows, make_stepper, near, pairs_of, place_e, places_of
+from melp_warp.shapes import Ellipsoid, Jittered, Rectangle, Samples, Sphere
+from tests.helpers import Patch, fitted_order, make_rows, make_stepper, near, pairs_of, place_e, places_of
 
 COUNTS = (500, 2000, 8000, 32000)
 RADIUS = 0.05

@@ -7,8 +7,8 @@ import warp as wp
 from melp_warp.kernels import gas as kg
 from melp_warp.launch import launch
 from melp_warp.material import Surroundings
-from melp_warp.shapes import Ellipsoid, Sphere
-from tests.helpers import Jittered, make_stepper
+from melp_warp.shapes import Ellipsoid, Jittered, Sphere
+from tests.helpers import make_stepper
 
 RADIUS = 0.05
 P_ATM = 101325.0

@@ -3,8 +3,8 @@
 import numpy as np
 
 from melp_warp.advance import SHIFT_LIMIT
-from melp_warp.shapes import Sphere
-from tests.helpers import Jittered, fitted_order, make_stepper, place_e
+from melp_warp.shapes import Jittered, Sphere
+from tests.helpers import fitted_order, make_stepper, place_e
 
 RADIUS = 0.05
 

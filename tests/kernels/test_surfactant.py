@@ -8,8 +8,8 @@ import warp as wp
 
 from melp_warp.kernels.surfactant import log_mean
 from melp_warp.material import Material, Surroundings
-from melp_warp.shapes import Rectangle, Sphere
-from tests.helpers import Jittered, make_stepper, pairs_of
+from melp_warp.shapes import Jittered, Rectangle, Sphere
+from tests.helpers import make_stepper, pairs_of
 
 WIDTH, HEIGHT = 0.2, 0.1
 LYING = Rectangle(WIDTH, HEIGHT, tilt=90.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp.shapes import Disc, Sphere
+from melp_warp.shapes import Disc, Jittered, Sphere
 from melp_warp.transfer import THICKNESS_SLACK
-from tests.helpers import Jittered, make_stepper
+from tests.helpers import make_stepper
 
 SHAPES = {"sphere": Jittered(Sphere(0.05)), "flat": Jittered(Disc(0.05))}
 
