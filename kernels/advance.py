@@ -71,19 +71,19 @@ def advance_l(
     normal: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
-    end: wp.array(dtype=wp.vec3),
-    bend: float,
+    passed: wp.array(dtype=wp.vec3),
+    bend: wp.array(dtype=float),
     dt: wp.array(dtype=float),
     # outputs
     x: wp.array(dtype=wp.vec3),
 ):
     """Move L with the material velocity, and with the film as a whole as E do.
 
-    The velocity is that of the end of the step, when the film as a whole moves at `end`; in the step it moves at
-    `frame`. A midpoint scheme would otherwise leave the L of an accelerating bubble behind its E.
+    The velocity is that of a time in the step or at its end when the film as a whole moves at `passed`; in the step it
+    moves at `frame`. L of an accelerating bubble would otherwise be left behind its E.
 
     Half a step along its path an L meets the velocity v + 1/2 dt B D^-1 w, w its own along the film: with that it moves
-    on a path of second order.
+    on a path of second order. Less of a bend leads L out of a vortex, whose pressure brings them back and feeds it.
 
     Args:
         v: [n_l] velocity at the particle, m/s.
@@ -91,15 +91,15 @@ def advance_l(
         normal: [n_l] unit normals.
         region: [n_l] region of each L.
         frame: [regions] velocity of each region as a whole in the step, m/s.
-        end: [regions] that at its end, m/s.
-        bend: 1 for paths of second order, 0 for straight ones.
+        passed: [regions] that at the time of v, m/s.
+        bend: [1] 1 for paths of second order, 0 for straight ones.
         dt: [1] s.
         x: [n_l] m.
     """
     i = wp.tid()
     h = dt[0]
-    own = v[i] - end[region[i]]
-    turned = (0.5 * bend * h) * (affine[i] * tangential(own, normal[i]))
+    own = v[i] - passed[region[i]]
+    turned = (0.5 * bend[0] * h) * (affine[i] * tangential(own, normal[i]))
     x[i] = x[i] + h * (own + turned + frame[region[i]])
 
 

@@ -12,6 +12,7 @@ def summarize_chunks(
     mass: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
     u: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
     eta: wp.array(dtype=float),
     density: float,
     n: int,
@@ -26,7 +27,8 @@ def summarize_chunks(
     Args:
         mass: [n] kg.
         surfactant: [n] mol.
-        u: [n] m/s.
+        u: [n] velocity that carries the momentum, m/s.
+        v: [n] velocity of the particles, m/s.
         eta: [n] m.
         density: rho, kg/m^3.
         n: number of particles.
@@ -38,15 +40,15 @@ def summarize_chunks(
     s[7] = wp.float64(1.0e30)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         m = wp.float64(mass[i])
-        v = u[i]
-        vv = wp.float64(wp.length_sq(v))
+        p = u[i]
+        vv = wp.float64(wp.length_sq(v[i]))
         h = wp.float64(eta[i])
         a = m / (wp.float64(density) * h)
         s[0] += m
         s[1] += wp.float64(surfactant[i])
-        s[2] += m * wp.float64(v[0])
-        s[3] += m * wp.float64(v[1])
-        s[4] += m * wp.float64(v[2])
+        s[2] += m * wp.float64(p[0])
+        s[3] += m * wp.float64(p[1])
+        s[4] += m * wp.float64(p[2])
         s[5] += wp.float64(0.5) * m * vv
         s[6] = wp.max(s[6], vv)
         s[7] = wp.min(s[7], h)

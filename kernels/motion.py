@@ -99,10 +99,15 @@ def hold_motion_e(
 
 @wp.kernel
 def blend_motion(
-    start: wp.array(dtype=wp.vec3), motion: wp.array(dtype=wp.vec3), theta: float, frame: wp.array(dtype=wp.vec3)
+    start: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    theta: wp.array(dtype=float),
+    # outputs
+    between: wp.array(dtype=wp.vec3),
 ):
-    """Velocity of the film as a whole in the step: between those of its start and of its end. frame[0], m/s."""
-    frame[0] = start[0] + theta * (motion[0] - start[0])
+    """Velocity of each region as a whole after the share theta[0] of a step, between start and end. [regions], m/s."""
+    k = wp.tid()
+    between[k] = start[k] + theta[0] * (motion[k] - start[k])
 
 
 @wp.kernel
@@ -227,6 +232,7 @@ def recoil(
     net: wp.array(dtype=wp.vec3),
     added: float,
     stiff: wp.array(dtype=float),
+    theta: wp.array(dtype=float),
     dt: wp.array(dtype=float),
     # outputs
     kick: wp.array(dtype=wp.vec3),
@@ -243,7 +249,8 @@ def recoil(
         inertia: parts of sum (m + added a) n n.
         net: parts of J/dt.
         added: mass per area of the air, kg/m^2.
-        stiff: [1] implicit share w/(1 + w) of the lowest mode, w = (omega dt)^2.
+        stiff: [1] w = (omega dt)^2 of the lowest mode, whose implicit share is w/(1 + w).
+        theta: [1] share of the step that the tangential solve was for.
         dt: [1] s.
         kick: [0] added to the surface, [1] taken from the liquid, m/s.
         motion: velocity of the film as a whole, m/s.
@@ -257,7 +264,8 @@ def recoil(
         s2 += net[c]
     across = s1 - added * s0
     along = wp.trace(across) * wp.identity(n=3, dtype=float) - across
-    share = 1.0 / (1.0 + stiff[0] * wp.trace(along) / wp.trace(s1))
+    w = theta[0] * theta[0] * stiff[0]
+    share = 1.0 / (1.0 + w / (1.0 + w) * wp.trace(along) / wp.trace(s1))
     kick[0] = -share * dt[0] * (wp.inverse(s1) * s2)
     kick[1] = (1.0 - share) * dt[0] * (wp.inverse(along) * s2)
     motion[0] = motion[0] + kick[0]
@@ -267,14 +275,15 @@ def recoil(
 def apply_recoil_e(
     normal: wp.array(dtype=wp.vec3),
     kick: wp.array(dtype=wp.vec3),
-    theta: float,
+    theta: wp.array(dtype=float),
+    theta_whole: wp.array(dtype=float),
     # outputs
     u: wp.array(dtype=wp.vec3),
     u_mid: wp.array(dtype=float),
 ):
-    """Add the translations of `recoil`. [n_e], m/s."""
+    """Add the translations of `recoil`, the shares of a step to which u and u_mid belong of them. [n_e], m/s."""
     i = wp.tid()
     n = normal[i]
     k = wp.dot(kick[0], n)
-    u[i] = u[i] + k * n - tangential(kick[1], n)
-    u_mid[i] = u_mid[i] + theta * k
+    u[i] = u[i] + theta[0] * (k * n - tangential(kick[1], n))
+    u_mid[i] = u_mid[i] + theta_whole[0] * k

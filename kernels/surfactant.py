@@ -231,34 +231,34 @@ def assemble_viscosity_e(
 
 
 @wp.kernel
-def extrapolate_e(
+def rescale_change_e(
     before: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    beyond: wp.array(dtype=float),
+    theta: wp.array(dtype=float),
+    onward: float,
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
-    """The tangential velocity after dt from that after theta dt, by 1/theta - 1 of its change.
+    """The velocity after theta dt from that after dt or, `onward`, the one after dt from that after theta dt.
 
     Args:
         before: [n] at the start of the step, m/s.
-        normal: [n] unit normals.
-        beyond: [1] 1/theta - 1.
+        theta: [1] share of the step.
+        onward: 1 or 0.
         u: [n_e] m/s.
     """
     i = wp.tid()
-    u[i] += beyond[0] * tangential(u[i] - before[i], normal[i])
+    share = wp.where(onward > 0.0, 1.0 / theta[0], theta[0])
+    u[i] = before[i] + share * (u[i] - before[i])
 
 
 @wp.kernel
-def join_velocity_e(
-    along: wp.array(dtype=wp.vec3),
-    across: wp.array(dtype=wp.vec3),
+def replace_tangential_e(
+    ut: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
-    """The tangential part of `along` and the normal part of `across`, either of which may be u. [n_e], m/s."""
+    """Replace the tangential part of u. [n_e], m/s."""
     i = wp.tid()
     n = normal[i]
-    u[i] = tangential(along[i], n) + wp.dot(across[i], n) * n
+    u[i] = tangential(ut[i], n) + wp.dot(u[i], n) * n

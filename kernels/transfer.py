@@ -188,7 +188,7 @@ def gather_e_to_l(
     weight: wp.array(dtype=float),
     rows: Neighbors,
     kept: float,
-    beyond: wp.array(dtype=float),
+    theta: wp.array(dtype=float),
     # outputs
     u_l: wp.array(dtype=wp.vec3),
     affine_l: wp.array(dtype=wp.mat33),
@@ -210,7 +210,7 @@ def gather_e_to_l(
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
         kept: 1 where `look_back_l` ran, else 0.
-        beyond: [1] 1/theta - 1, for u_E after theta dt.
+        theta: [1] share of the step after which u_E is.
         u_l: [n_l] carried velocity sum W^ u_E, m/s.
         affine_l: [n_l] B D^-1 with differences of position in the tangent plane, 1/s.
         v_l: [n_l] velocity at the particle itself, m/s.
@@ -225,8 +225,8 @@ def gather_e_to_l(
     if total > 0.0:
         n = wp.normalize(wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2]))
         velocity, affine, first = velocity_of(sums, n)
-        u_l[i] = (1.0 + beyond[0]) * velocity + kept * u_l[i]
-        affine_l[i] = (1.0 + beyond[0]) * affine + kept * affine_l[i]
+        u_l[i] = 1.0 / theta[0] * velocity + kept * u_l[i]
+        affine_l[i] = 1.0 / theta[0] * affine + kept * affine_l[i]
         v_l[i] = velocity - affine * first
         normal_l[i] = n
         eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))
@@ -239,7 +239,7 @@ def look_back_l(
     weight: wp.array(dtype=float),
     rows: Neighbors,
     flip: float,
-    beyond: wp.array(dtype=float),
+    theta: wp.array(dtype=float),
     # outputs
     u_l: wp.array(dtype=wp.vec3),
     affine_l: wp.array(dtype=wp.mat33),
@@ -257,7 +257,7 @@ def look_back_l(
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
         flip: share of the departure that is kept, 0 to 1.
-        beyond: [1] 1/theta - 1.
+        theta: [1] share of the step after which the velocities of `gather_e_to_l` are.
         u_l: [n_l] carried velocity; then flip (u_L - sum W^ u_E) - (1/theta - 1) sum W^ u_E, m/s.
         affine_l: [n_l] affine state, then -(1/theta - 1) times that of the pack's velocities, 1/s.
     """
@@ -266,8 +266,9 @@ def look_back_l(
     if sums[0, 6] > 0.0:
         n = wp.normalize(wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2]))
         mean, slope, _ = velocity_of(sums, n)
-        u_l[i] = flip * tangential(u_l[i] - mean, n) - beyond[0] * mean
-        affine_l[i] = -beyond[0] * slope
+        beyond = 1.0 / theta[0] - 1.0
+        u_l[i] = flip * tangential(u_l[i] - mean, n) - beyond * mean
+        affine_l[i] = -beyond * slope
 
 
 @wp.kernel

@@ -105,11 +105,13 @@ class LagrangianAdvance:
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
 
-    def advance(self, frame: wp.array, end: wp.array, dt: wp.array) -> None:
-        """Move L by dt (v + frame - end), put them onto the surface, keep them inside the rim (Algorithm 7)."""
+    def advance(self, frame: wp.array, passed: wp.array, bend: wp.array, dt: wp.array) -> None:
+        """Move L by dt (v + frame - passed), put them onto the surface, keep them inside the rim (Algorithm 7).
+
+        `bend` [1] is that of their paths, 0 to 1.
+        """
         film, lag = self.film, self.state.l
-        bend = 1.0 if film.numerics.curved_paths else 0.0
-        film.launch_l(ka.advance_l, [lag.v, lag.affine, lag.normal, lag.region, frame, end, bend, dt], [lag.x])
+        film.launch_l(ka.advance_l, [lag.v, lag.affine, lag.normal, lag.region, frame, passed, bend, dt], [lag.x])
         if film.features.moving:
             self.project()
         if film.rim is not None:

@@ -113,8 +113,9 @@ class FoamMembrane:
     Attributes:
         cover: [n_e] 0 on a film of its own, 1 where the sheet is one film with another region's or a wall's.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
-        start: [regions] velocity of each region as a whole in the step, m/s: that of `State.motion`.
-        frame: the same.
+        start: [regions] velocity of each region as a whole at the start of the step, m/s.
+        frame: that in the step: `State.motion`.
+        passed: that after the share of the step that `find_motion_at` was asked for.
         wanted: [n_e] length that each row of the matrix has needed at most.
         added: [regions] mass of the air that moves along, kg/m^2.
         bent: [regions] turn of normals that counts as a bend.
@@ -132,7 +133,8 @@ class FoamMembrane:
         self.cover, self._faced, self._free = film.zeros(n), film.zeros(n), film.zeros(n)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
-        self.start = self.frame = state.motion
+        self.frame = state.motion
+        self.start, self.passed = (film.zeros(film.regions, wp.vec3) for _ in range(2))
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
@@ -222,6 +224,7 @@ class FoamMembrane:
     def solve(self, dt: wp.array) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
         film, e = self.film, self.state.e
+        copy(self.start, self.state.motion)
         self._find_motion(self._found)
         film.launch_e(ko.hold_motion_e, [e.normal, e.region, self._found, self.state.motion], [e.u])
         self._fall_freely(dt)
@@ -238,6 +241,10 @@ class FoamMembrane:
         self._find_motion(self.state.motion)
         self._sweep()
         film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
+
+    def find_motion_at(self, theta: wp.array) -> None:
+        """Set `passed` to the velocity of each region as a whole after the share theta [1] of the step."""
+        self.film.launch_regions(ko.blend_motion, [self.start, self.state.motion, theta], [self.passed])
 
     def recall(self) -> None:
         """After the move: E stay in their sheets and inside the walls."""

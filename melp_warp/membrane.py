@@ -155,6 +155,7 @@ class Membrane:
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [1] velocity of the film as a whole at the start of the step, m/s.
         frame: [1] the same in the step; that of its end is `State.motion`.
+        passed: [1] the same after the share of the step that `find_motion_at` was asked for.
     """
 
     def __init__(
@@ -171,13 +172,15 @@ class Membrane:
         self.forces, self.rim = forces, rim
         self.explicit = film.numerics.scheme == "explicit" or film.features.single
         self.midpoint = film.numerics.scheme == "trapezoid" and not self.explicit
-        self.theta = self.theta_whole = 0.5 if self.midpoint else 1.0
+        self.theta = 0.5 if self.midpoint else 1.0
+        flowing = film.numerics.flow == "midpoint" and not film.features.single
+        self.theta_whole = 0.5 if self.midpoint or flowing else 1.0
         self._wave_speed = _shortest_wave_speed(film)
         n = film.n_e
         self.predicted = film.zeros(film.total, wp.vec3)
         self.force, self.external, self.u_mid = film.zeros(n), film.zeros(n), film.zeros(n)
         self.rigid, self.swelling = film.zeros(3, wp.vec3), film.zeros(1)
-        self.start, self.frame = film.zeros(1, wp.vec3), film.zeros(1, wp.vec3)
+        self.start, self.frame, self.passed = (film.zeros(1, wp.vec3) for _ in range(3))
         self.found, self.kick = film.zeros(1, wp.vec3), film.zeros(2, wp.vec3)
         self.lifted = film.parts(wp.vec3)
         self.mean = film.parts(wp.vec2)
@@ -193,6 +196,7 @@ class Membrane:
             self.response = AirResponse(film, state, lists, geometry)
         else:
             self.response = FilmResponse(film, lists, geometry)
+        self._whole = wp.full(1, self.theta_whole, dtype=wp.float32, device=film.device)
         self._added = wp.full(film.regions, self.added, dtype=wp.float32, device=film.device)
         self.ahead, self._theta, self._recoil = (Setting(film.device) for _ in range(3))
 
@@ -206,7 +210,7 @@ class Membrane:
             self.ahead.at(self.theta * dt)
             self.response.prepare(2.0 * film.material.film_tension * (self.theta * dt) ** 2)
         w = 2.0 * film.stiffness / film.material.thickness * (dt / film.radius) ** 2
-        self._recoil.at(w / (1.0 + w))
+        self._recoil.at(w)
 
     def solve(self, dt: wp.array) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
@@ -322,20 +326,27 @@ class Membrane:
         )
         film.launch_one(kg.close_gas, [self.swept, film.surroundings.pressure], [self.state.gas])
 
-    def recoil(self, traction: wp.array, dt: wp.array) -> None:
-        """Move a closed film as a whole against the sum of the tangential forces of its tension."""
+    def recoil(self, traction: wp.array, theta: wp.array, dt: wp.array) -> None:
+        """Move a closed film as a whole against the sum of the tangential forces of its tension.
+
+        The velocity of E is taken for that after the share theta [1] of the step.
+        """
         film, e = self.film, self.state.e
         film.launch_parts(ko.traction_chunks, [traction, self.geometry.area, film.n_e], [self.net])
         film.launch_one(
             ko.recoil,
-            [self.moment, self.inertia, self.net, self.added, self._recoil.array, dt],
+            [self.moment, self.inertia, self.net, self.added, self._recoil.array, theta, dt],
             [self.kick, self.state.motion],
         )
-        film.launch_e(ko.apply_recoil_e, [e.normal, self.kick, self.theta_whole], [e.u, self.u_mid])
+        film.launch_e(ko.apply_recoil_e, [e.normal, self.kick, theta, self._whole], [e.u, self.u_mid])
 
     def find_frame(self) -> None:
         """Set `frame`, once all that moves the film as a whole in this step is known."""
-        self.film.launch_one(ko.blend_motion, [self.start, self.state.motion, self.theta_whole], [self.frame])
+        self.film.launch_regions(ko.blend_motion, [self.start, self.state.motion, self._whole], [self.frame])
+
+    def find_motion_at(self, theta: wp.array) -> None:
+        """Set `passed` to the velocity of the film as a whole after the share theta [1] of the step."""
+        self.film.launch_regions(ko.blend_motion, [self.start, self.state.motion, theta], [self.passed])
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""

@@ -26,8 +26,8 @@ class Numerics:
         scheme: normal dynamics: "backward_euler" (damps), "trapezoid" (second order, keeps oscillations; taken as the
             implicit midpoint rule, with which it coincides for linear forces) or "explicit" (the paper's symplectic
             Euler step).
-        flow: time stepping of the flow along the film: "backward_euler" (the paper's (14): damps waves) or "midpoint"
-            (second order, keeps waves, L on paths of second order whatever `l_order` is; see docs/method.md).
+        flow: time stepping of the flow along the film: "midpoint" (second order, keeps waves, with paths of L to match;
+            see docs/method.md) or "backward_euler" (the paper's (14): damps waves).
         curvature: "mls" (second order) or "sph" (the paper's (21)).
         solver: "cg" or "jacobi" (the paper's relaxed sweeps) for the surfactant equation (14).
         tolerance: relative residual at which conjugate gradients stop.
@@ -54,7 +54,7 @@ class Numerics:
     layers: int = 2
     support: float = 3.0
     scheme: str = "backward_euler"
-    flow: str = "backward_euler"
+    flow: str = "midpoint"
     curvature: str = "mls"
     solver: str = "cg"
     tolerance: float = 1e-4
@@ -71,14 +71,6 @@ class Numerics:
     border: float = 1.0
     exchange: float = 0.0
     thickness_time: float = 0.1
-
-    @property
-    def curved_paths(self) -> bool:
-        """Whether L move along paths of second order.
-
-        Straight ones feed a vortex, which backward Euler takes away again, but the midpoint rule does not.
-        """
-        return self.l_order == 2 or self.flow == "midpoint"
 
     @property
     def looks_back(self) -> bool:

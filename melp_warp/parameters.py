@@ -203,6 +203,7 @@ FOAM: Mapping[str, Value] = MappingProxyType(
         "border": 1.0,
         "air": "added_mass",
         "cfl": 0.5,
+        "flow": "backward_euler",
         "redistribution": 1.0,
     }
 )

@@ -79,9 +79,9 @@ class Quality:
 
 QUALITIES: Mapping[str, Quality] = MappingProxyType(
     {
-        "draft": Quality("a look at the motion", e=0.4, l=0.5, step=2.0, keys={"flip": 0.95}),
+        "draft": Quality("a look at the motion", e=0.4, l=0.5, step=2.0),
         "standard": Quality("the scene's own numbers"),
-        "fine": Quality("for the final frames", e=2.0, step=0.5, keys={"flip": 0.95, "flow": "midpoint"}),
+        "fine": Quality("for the final frames", e=2.0, step=0.5),
         "paper": Quality(
             "the settings of MELP 2022 at the scene's number of E",
             keys={
@@ -93,6 +93,7 @@ QUALITIES: Mapping[str, Quality] = MappingProxyType(
                 "solver": "jacobi",
                 "flow": "backward_euler",
                 "l_order": 1,
+                "flip": 0.0,
                 "xsph": 0.99,
             },
             foam_keys={"cfl": 0.33},

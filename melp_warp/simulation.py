@@ -385,10 +385,10 @@ class Simulation:
         film, state = self.film, self.state
         if self.has_l:
             lag = state.l
-            arrays = [lag.mass, lag.surfactant, lag.v, lag.eta, film.material.density, film.n_l]
+            arrays = [lag.mass, lag.surfactant, lag.u, lag.v, lag.eta, film.material.density, film.n_l]
         else:
             e = state.e
-            arrays = [e.mass, e.surfactant, e.u, self.stepper.fields.eta, film.material.density, film.n_e]
+            arrays = [e.mass, e.surfactant, e.u, e.u, self.stepper.fields.eta, film.material.density, film.n_e]
         film.launch_parts(kd.summarize_chunks, arrays, [self._summary])
         parts = self._summary.numpy()
         total = parts.sum(axis=0)

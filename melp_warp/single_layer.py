@@ -69,6 +69,7 @@ class SingleLayer(Stepper):
     def __init__(self, film: Film, state: State):
         super().__init__(film, state)
         self.redistribution = None
+        self._whole = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
         self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
         self._still, self._at_rest = film.zeros(film.n_e), film.zeros(1, wp.vec3)
         self._pushed = film.zeros(film.n_e, wp.vec3)
@@ -123,7 +124,7 @@ class SingleLayer(Stepper):
         self.membrane.start_motion()  # the particles' own momentum says how the film moves as a whole
         super()._solve_normal()
         if self.film.features.recoils:
-            self.membrane.recoil(self.traction, self.dt.array)
+            self.membrane.recoil(self.traction, self._whole, self.dt.array)
 
     def _advance_e(self) -> None:
         film, e, rows, dt = self.film, self.state.e, self.lists.ee.rows, self.dt.array

@@ -70,7 +70,7 @@ class Stepper:
         self.exchange = Exchange(film, state, self.lists, self.fields) if f.exchanges else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
         still = film.zeros(1, wp.vec3)
-        self.frame = self.membrane.frame if f.moving else still
+        self.frame, self.passed = (self.membrane.frame, self.membrane.passed) if f.moving else (still, still)
         # lists within a film move along with it; those between regions do not
         self.at_rest = film.zeros(film.regions, wp.vec3) if f.foam else self.frame
         self.dt = Setting(film.device)
@@ -153,6 +153,7 @@ class Stepper:
     def _gather(self) -> None:
         self.lists.note_late(1)
         self.transfer.l_to_e()  # (6), (7)
+        self.tangential.begin()
         self._find_fields()
 
     def _keep(self) -> None:
@@ -171,13 +172,13 @@ class Stepper:
     def _solve_tangential(self) -> None:
         self.tangential.solve()  # (14), (15)
         if self.film.features.recoils:
-            self.membrane.recoil(self.tangential.traction, self.dt.array)
+            self.membrane.recoil(self.tangential.traction, self.tangential.theta.array, self.dt.array)
         self.tangential.find_dilation()
         self._guard_e("surfactant")
 
     def _scatter(self) -> None:
         flow = self.tangential
-        self.transfer.e_to_l(flow.dilation, flow.look_back(), flow.beyond, self.dt.array)  # (16)-(18), (8)
+        self.transfer.e_to_l(flow.dilation, flow.before, flow.theta.array, self.dt.array)  # (16)-(18), (8)
         flow.finish()
         self._guard_l("e_to_l")
 
@@ -203,7 +204,9 @@ class Stepper:
         self._guard_e("geometry")
 
     def _advance_l(self) -> None:
-        self.l_advance.advance(self.frame, self.state.motion, self.dt.array)  # Algorithm 7
+        if self.film.features.moving:
+            self.membrane.find_motion_at(self.tangential.theta.array)
+        self.l_advance.advance(self.frame, self.passed, self.tangential.bend.array, self.dt.array)  # Algorithm 7
         self.lists.record_l(self.at_rest, self.dt.array)
         self._guard_l("advance_l")
 

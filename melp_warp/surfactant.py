@@ -59,8 +59,10 @@ class Tangential:
 
     Attributes:
         theta: share of the step that is solved for.
+        bend: of the paths of L: 1 for second order; such that a vortex neither gains nor loses by it, 2 (1 - theta),
+            unless `l_order` is 2.
         dilation: [n_e] div_s u, 1/s: before the solve, then where `find_dilation` was called.
-        before: [n] velocity of E before the solve, m/s; None where L do not look back at it.
+        before: [n] velocity of E at the start of the step, m/s; None where L do not look back at it.
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where the film does not recoil.
     """
 
@@ -78,8 +80,8 @@ class Tangential:
         self.geometry, self.fields, self.rim = geometry, fields, rim
         self.dilation = film.zeros(film.n_e)
         self.midpoint = film.numerics.flow == "midpoint"
-        self.theta, self._rate = 1.0, fastest_rate(film)
-        self._ahead, self._beyond = Setting(film.device), Setting(film.device)
+        self._rate = fastest_rate(film)
+        self.theta, self.bend, self._ahead = (Setting(film.device) for _ in range(3))
         self.before = film.zeros(film.total, wp.vec3) if film.numerics.looks_back else None
         self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
         numerics = film.numerics
@@ -96,16 +98,24 @@ class Tangential:
 
     def prepare(self, dt: float) -> None:
         """Set what depends on the step dt (s) to come."""
-        if self.midpoint:
-            self.theta = max(1.0 / 2.0, 2.0 / 3.0 - 1.0 / max(self._rate * dt, 1.0))
-        self._ahead.at(self.theta * dt)
-        self._beyond.at(1.0 / self.theta - 1.0)
+        theta = max(1.0 / 2.0, 2.0 / 3.0 - 1.0 / max(self._rate * dt, 1.0)) if self.midpoint else 1.0
+        self.theta.at(theta)
+        self.bend.at(1.0 if self.film.numerics.l_order == 2 else 2.0 * (1.0 - theta))
+        self._ahead.at(theta * dt)
+
+    def begin(self) -> None:
+        """Note the velocity of E at the start of the step."""
+        if self.before is not None:
+            copy(self.before, self.state.e.u)
 
     def solve(self) -> None:
-        """Advance the tangential velocity of E by theta dt: viscosity, then (14) and (15)."""
+        """Advance the tangential velocity of E by theta dt: viscosity, then (14) and (15).
+
+        The normal one, which is that of the step's end, is taken back to theta dt.
+        """
         u, ahead = self.state.e.u, self._ahead.array
-        if self.before is not None:
-            copy(self.before, u)
+        if self.midpoint:
+            self.film.launch_e(ks.rescale_change_e, [self.before, self.theta.array, 0.0], [u])
         if self.viscous is not None:
             self._diffuse(ahead)
         self.find_dilation()
@@ -113,23 +123,10 @@ class Tangential:
             self._solve_surfactant(ahead)
         self._accelerate(ahead)
 
-    @property
-    def beyond(self) -> wp.array:
-        """[1] 1/theta - 1: the end of the step is further on by this share of the change so far."""
-        return self._beyond.array
-
-    def look_back(self) -> wp.array | None:
-        """`before` with the normal part that the velocity has now: that is not extrapolated."""
-        if self.before is not None:
-            e = self.state.e
-            self.film.launch_e(ks.join_velocity_e, [self.before, e.u, e.normal], [self.before])
-        return self.before
-
     def finish(self) -> None:
         """Take the velocity of E to the end of the step."""
         if self.midpoint:
-            e = self.state.e
-            self.film.launch_e(ks.extrapolate_e, [self.before, e.normal, self.beyond], [e.u])
+            self.film.launch_e(ks.rescale_change_e, [self.before, self.theta.array, 1.0], [self.state.e.u])
 
     def find_dilation(self) -> wp.array:
         """div_s u of the velocity as it is now, no flow through a rim. [n_e], 1/s."""
@@ -199,4 +196,4 @@ class Tangential:
             [solver.operator.diag, solver.operator.pair, solver.b, solver.x],
         )
         solver.solve()
-        film.launch_e(ks.join_velocity_e, [solver.x, e.u, e.normal], [e.u])
+        film.launch_e(ks.replace_tangential_e, [solver.x, e.normal], [e.u])

@@ -38,7 +38,7 @@ class Transfer:
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
-        self._rate, self._nothing = Setting(film.device), film.zeros(1)
+        self._rate, self._whole = Setting(film.device), wp.full(1, 1.0, dtype=wp.float32, device=film.device)
 
     def prepare(self, dt: float) -> None:
         """Set what depends on the step dt (s) to come."""
@@ -76,13 +76,13 @@ class Transfer:
             [self.weight, self._given, self.lost],
         )
 
-    def e_to_l(self, dilation: wp.array, before: wp.array | None, beyond: wp.array, dt: wp.array) -> None:
+    def e_to_l(self, dilation: wp.array, before: wp.array | None, theta: wp.array, dt: wp.array) -> None:
         """Velocity, affine state and thickness of L from E, (16)-(18) and (8).
 
         Args:
             dilation: [n_e] div_s u, 1/s.
-            before: [n] velocity of E before the step's forces, m/s, that L look back at; None where they do not.
-            beyond: [1] 1/theta - 1 for a velocity of E after theta dt.
+            before: [n] velocity of E at the start of the step, m/s, that L look back at; None where they do not.
+            theta: [1] share of the step after which the velocity of E is.
             dt: [1] s.
         """
         self.film.launch_e(
@@ -91,8 +91,8 @@ class Transfer:
             [self.growth],
         )
         if before is not None:
-            self._look_back(before, beyond)
-        self._gather_to_l(beyond, 0.0 if before is None else 1.0)
+            self._look_back(before, theta)
+        self._gather_to_l(theta, 0.0 if before is None else 1.0)
 
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
@@ -102,14 +102,14 @@ class Transfer:
 
     def gather_to_l(self) -> None:
         """The sums of (16)-(18), and the thickness of L grown by `growth`."""
-        self._gather_to_l(self._nothing, 0.0)
+        self._gather_to_l(self._whole, 0.0)
 
-    def _look_back(self, before: wp.array, beyond: wp.array) -> None:
+    def _look_back(self, before: wp.array, theta: wp.array) -> None:
         film, lag = self.film, self.state.l
         self._pack_e(before)
         film.launch_l(
             kt.look_back_l,
-            [lag.x, self._pack, self.weight, self.lists.le.rows, film.numerics.flip, beyond],
+            [lag.x, self._pack, self.weight, self.lists.le.rows, film.numerics.flip, theta],
             [lag.u, lag.affine],
         )
 
@@ -117,11 +117,11 @@ class Transfer:
         film, e = self.film, self.state.e
         launch(kt.pack_e, film.total, [e.x, u, e.normal, self.growth], [self._pack], film.device)
 
-    def _gather_to_l(self, beyond: wp.array, kept: float) -> None:
+    def _gather_to_l(self, theta: wp.array, kept: float) -> None:
         lag = self.state.l
         self._pack_e(self.state.e.u)
         self.film.launch_l(
             kt.gather_e_to_l,
-            [lag.x, self._pack, self.weight, self.lists.le.rows, kept, beyond],
+            [lag.x, self._pack, self.weight, self.lists.le.rows, kept, theta],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],
         )

@@ -402,8 +402,9 @@ def free_fall(
 ) -> dict:
     """A closed bubble without air or lift falls as a stone: its centre of mass by g t^2/2, and it stays a sphere.
 
-    A first-order scheme that moves with the velocity of the end of the step falls g t (t + dt)/2; that is the `exact`
-    of backward Euler, the trapezoid's is g t^2/2. With `lift=1` it hovers: `exact` 0, `error` in units of g t^2/2.
+    A first-order scheme that moves with the velocity of the end of the step falls g t (t + dt)/2: that is the `exact`
+    where both scheme and flow are backward Euler; it is g t^2/2 elsewhere. With `lift=1` it hovers: `exact` 0, `error`
+    in units of g t^2/2.
 
     Returns:
         m; also `e_error` (the same for the centre of E), `speed_error` (against g t), `radius_spread` of E and L.
@@ -429,7 +430,7 @@ def free_fall(
     start, e_start = centre(), e_points(simulation)[:, 1].mean()
     steps(simulation, count, dt)
     time = count * dt
-    late = dt if scheme == "backward_euler" else 0.0
+    late = dt if scheme == "backward_euler" == Numerics(**numerics).flow else 0.0
     scale = -0.5 * GRAVITY * time * (time + late)
     exact = scale if lift == 0.0 else 0.0
     fallen, e_fallen = centre() - start, e_points(simulation)[:, 1].mean() - e_start

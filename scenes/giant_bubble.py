@@ -29,6 +29,7 @@ PARAMETERS = declare(
     air="added_mass",
     drag=1e-3,
     swirl=0.1,
+    flip=0.95,
     e_count=2000,
     l_per_e=16,
     frames=300,

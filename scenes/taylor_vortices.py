@@ -28,6 +28,7 @@ PARAMETERS = declare(
     noise_frequency=1.5,
     noise_octaves=2,
     surfactant=4e-6,
+    flip=0.95,
     e_count=4900,
     l_per_e=16,
     frames=192,

@@ -511,16 +511,19 @@ NOTES = """\
   with shifts, of which a finer run has more, it is 1.7 between T/20 and T/80.
 * **The last 0.07 % of omega at n = 3 are not the spacing's** but the step's, beside the midpoint rule's own 0.2 % at
   T/40 (0.03 % at T/80), with or without redistribution; the order in the spacing shows at n = 4 only. Not explained.
-* **Second-order paths (`l_order=2`) harm vortices.** The velocity an L carries is not turned along its curved path, so
-  each step multiplies the angular momentum by cos(omega dt). With straight paths (order 1) r x u is kept exactly,
-  which is the symplectic Euler scheme; keep to it.
+* **Second-order paths of backward Euler (`flow=backward_euler`, `l_order=2`) harm vortices.** The velocity an L carries
+  is not turned along its curved path, so each step multiplies the angular momentum by cos(omega dt). With straight
+  paths (order 1) r x u is kept exactly, which is the symplectic Euler scheme; keep to it. With the midpoint rule, the
+  default, the velocity turns with the path.
+* **The liquid's own centrifugal force**, m u^2 kappa where it flows round a bend, is left out of the normal motion: of
+  the lift of a bubble that turns 2 % by default.
 * **Small eddies fade.** A transfer takes 1/2 (K sigma)^4 of the speed a step, sigma = 0.23 supports: eddies of 16 E
   lose a tenth of their speed in 60 steps at support 4, less than half of that at support 3. Wider kernels merge Taylor
   vortices that should part.
 * **The midpoint scheme is of second order in small steps alone**: where the shortest wave runs more than 8 spacings in
   a step it goes over to backward Euler, or short waves would grow; giant_bubble without air holds so at 1/60 s.
-* **The surfactant equation is backward Euler in time**, so elastic waves lose 2 pi^2/(steps a period) of their
-  amplitude a period, in steps of 1/60 s all of it.
+* **With `flow=backward_euler`, as in foams, the surfactant equation is backward Euler in time**, so elastic waves lose
+  2 pi^2/(steps a period) of their amplitude a period, in steps of 1/60 s all of it.
 """
 
 

@@ -90,7 +90,9 @@ def test_implicit_step_of_a_mode(mode, number, device):
     equation. Walls let no flux pass, so cos(k x) with k = pi n/width is an eigenmode. What is compared within 2 % is
     the operator, e/e' - 1 = (dt c k)^2, and the velocity u = dt c^2 k e' sin(k x) that (15) gives from the same gamma.
     """
-    film, s = make_stepper(LYING, 5000, device, l_per_e=1, numerics={"tolerance": 1e-6, "max_iterations": 400})
+    film, s = make_stepper(
+        LYING, 5000, device, l_per_e=1, numerics={"flow": "backward_euler", "tolerance": 1e-6, "max_iterations": 400}
+    )
     x = positions(s)[:, 0] + 0.5 * WIDTH
     k = np.pi * mode / WIDTH
     cosine, sine = np.cos(k * x), np.sin(k * x)
@@ -156,7 +158,7 @@ def test_even_film_falls_freely_without_surfactant(support, bound, device):
         l_per_e=1,
         surroundings=surroundings,
         material=Material(surfactant=0.0),
-        numerics={"support": support},
+        numerics={"support": support, "flow": "backward_euler"},
     )
     assert s.tangential.solver is None
     s.fields.update()

@@ -145,7 +145,7 @@ def test_thickness_follows_dilation(device):
     wp.copy(s.transfer.claim, s.geometry.area)
     before = f64(s.state.l.eta)
     dilation = wp.full(film.n_e, 12.0, dtype=float, device=device)
-    s.transfer.e_to_l(dilation, None, film.zeros(1), s.prepare(0.01))
+    s.transfer.e_to_l(dilation, None, wp.full(1, 1.0, dtype=float, device=film.device), s.prepare(0.01))
     assert f64(s.state.l.eta) / before == pytest.approx(np.exp(-0.12), rel=1e-5)
 
 
@@ -169,10 +169,10 @@ def test_thickness_relaxes_to_that_of_e(device):
     assert np.abs(np.log(claim)).max() < 1.5 * THICKNESS_SLACK
 
 
-def to_l(film, s, dt, before=None, beyond=0.0):
-    """E to L without dilation; `before` the velocity of E before the step's forces."""
+def to_l(film, s, dt, before=None, theta=1.0):
+    """E to L without dilation; `before` the velocity of E at the start of the step."""
     before = None if before is None else wp.array(before, dtype=wp.vec3, device=film.device)
-    s.transfer.e_to_l(film.zeros(film.n_e), before, wp.full(1, beyond, dtype=float, device=film.device), s.prepare(dt))
+    s.transfer.e_to_l(film.zeros(film.n_e), before, wp.full(1, theta, dtype=float, device=film.device), s.prepare(dt))
 
 
 def in_plane(film, s, seed=2):
@@ -212,7 +212,7 @@ def test_l_carry_on_the_velocity_of_the_end_and_move_with_that_of_the_middle(dev
     now = s.state.e.u.numpy().copy()
     s.transfer.start_l()
     v = f64(s.state.l.v)
-    to_l(film, s, 1e-3, now - change, beyond=0.75)
+    to_l(film, s, 1e-3, now - change, theta=4.0 / 7.0)
     u, affine = f64(s.state.l.u), f64(s.state.l.affine)
     assert np.array_equal(f64(s.state.l.v), v)
     s.state.e.u.assign(now + np.float32(0.75) * change)

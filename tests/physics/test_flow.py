@@ -12,9 +12,9 @@ def test_marangoni_wave_speed(l_order):
     """c = sqrt(2 R T Gamma_0/m) within 2 %.
 
     Half a wave over 30 E: (k dx)^2 = 0.011, of which the kernel's smoothing takes 0.4; (omega dt)^2/3 = 0.2 % at T/80.
-    The scheme is backward Euler, so a wave must lose no less than that loses, and at most a little more.
+    Of backward Euler: a wave must lose no less than that loses, and at most a little more.
     """
-    run = v.marangoni_wave(30, l_per_e=8, periods=1.0, l_order=l_order)
+    run = v.marangoni_wave(30, l_per_e=8, periods=1.0, l_order=l_order, flow="backward_euler")
     assert abs(run["error"]) < 0.02
     assert run["exact_damping"] - 0.01 < run["damping"] < run["exact_damping"] + 0.06
 
@@ -109,12 +109,16 @@ def test_drainage_reaches_the_exact_profile():
 
 
 def test_exact_drainage_profile_stays_at_rest():
-    """Two seconds without drag: the profile stays within 2 %; what its sampling stirs is 2 % of the elastic speed."""
-    run = v.drainage(300, 8, duration=2.0, drag=0.0, at_rest=True)
-    assert run["error"] < 0.02
-    assert run["l_error"] < 0.02
-    assert run["max_speed"] < 0.03 * v.elastic_speed(v.Material())
-    assert run["final_speed"] < 1e-3
+    """Two seconds without drag: the profile stays within 2 %; what its sampling stirs is 2 % of the elastic speed.
+
+    Backward Euler damps that, the midpoint rule keeps it, and adds nothing.
+    """
+    for flow, left in (("backward_euler", 0.1), ("midpoint", 1.0)):
+        run = v.drainage(300, 8, duration=2.0, drag=0.0, at_rest=True, flow=flow)
+        assert run["error"] < 0.02
+        assert run["l_error"] < 0.02
+        assert run["max_speed"] < 0.03 * v.elastic_speed(v.Material())
+        assert run["final_speed"] < left * run["max_speed"]
 
 
 @pytest.mark.slow
@@ -168,7 +172,7 @@ def test_taylor_vortices_part():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a midpoint path carries the velocity unturned: each step loses cos(omega dt)")
+@pytest.mark.xfail(strict=True, reason="paths of second order give nothing back of what theta > 1/2 takes")
 def test_second_order_paths_do_not_harm_vortices():
     """Order 2 of the L advance must not be worse than order 1."""
     first, second = (v.taylor_vortex(40, l_order=order) for order in (1, 2))

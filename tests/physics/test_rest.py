@@ -13,9 +13,13 @@ def test_young_laplace_pressure():
     assert run["radius_spread"] < 1e-4
 
 
-def test_young_laplace_pressure_with_liquid():
-    """The same with L and the film's lower tension; 2,500 E, where a second-order error is twice that at 5,000."""
-    run = v.resting_bubble(e_count=2500, l_per_e=4, count=10)
+@pytest.mark.parametrize(("flow", "count"), [("backward_euler", 10), ("midpoint", 20)])
+def test_young_laplace_pressure_with_liquid(flow, count):
+    """The same with L and the film's lower tension; 2,500 E, where a second-order error is twice that at 5,000.
+
+    The unevenness of the sampling sets the liquid in motion, which takes a rule that keeps waves longer to calm.
+    """
+    run = v.resting_bubble(e_count=2500, l_per_e=4, count=count, flow=flow)
     assert run["error"] < 0.005 * 5000 / 2500
     assert run["spurious_speed"] < 1e-4 * run["capillary_speed"]
 
@@ -27,15 +31,15 @@ def test_young_laplace_pressure_converges_with_second_order():
     assert v.order_of([n**-0.5 for n in counts], errors) > 1.8
 
 
-@pytest.mark.parametrize("l_order", [1, 2])
+@pytest.mark.parametrize("numerics", [{}, {"flow": "backward_euler"}, {"l_order": 2}, {"flip": 0.95}])
 @pytest.mark.parametrize("scheme", ["backward_euler", "trapezoid"])
-def test_free_fall(scheme, l_order):
-    """x = -g t^2/2 (backward Euler: -g t (t + dt)/2 exactly), u = -g t, at 1/60 s; the sphere stays one.
+def test_free_fall(scheme, numerics):
+    """x = -g t^2/2 (all backward Euler: -g t (t + dt)/2 exactly), u = -g t, at 1/60 s; the sphere stays one.
 
     Nothing in the film or its gas may feel the fall. 30 steps take the bubble 25 radii down. Float32 positions at
     1.3 m are good to 1e-7 m. The surface recoils from the liquid that the sampling's unevenness sets in motion.
     """
-    run = v.free_fall(scheme=scheme, l_order=l_order)
+    run = v.free_fall(scheme=scheme, **numerics)
     assert run["error"] < 1e-5
     assert run["e_error"] < 2e-4
     assert run["speed_error"] < 1e-3
@@ -44,8 +48,12 @@ def test_free_fall(scheme, l_order):
 
 
 def test_lighter_gas_carries_the_weight():
-    """lift = 1: the centre of mass hovers to 0.5 % of g t^2/2; as the liquid sinks in the film, the surface rises."""
-    run = v.free_fall(lift=1.0)
+    """lift = 1: the centre of mass hovers to 0.5 % of g t^2/2; as the liquid sinks in the film, the surface rises.
+
+    With backward Euler, which calms the liquid: where it sloshes on, its paths along the bent film press on it, a force
+    that is left out (2 % of g t^2/2 with the midpoint rule).
+    """
+    run = v.free_fall(lift=1.0, flow="backward_euler")
     assert run["error"] < 0.005
     assert run["e_error"] < 0.015
     assert run["radius_spread"] < 1e-3
