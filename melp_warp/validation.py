@@ -12,7 +12,7 @@ the tool `tools/validate.py` runs them at full size and writes docs/validation.m
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -45,6 +45,15 @@ def steps(simulation: Simulation, count: int, dt: float, observe: Callable[[], o
         simulation.stepper.check()
         if observe:
             seen.append(observe())
+    return np.array(seen)
+
+
+def _frames(simulation: Simulation, count: int, observe: Callable[[], object]) -> np.ndarray:
+    """Advance by `count` frames; what `observe()` returns before the first and after each."""
+    seen = [observe()]
+    for _ in range(count):
+        simulation.advance_frame()
+        seen.append(observe())
     return np.array(seen)
 
 
@@ -231,6 +240,22 @@ def oscillation_frequency(mode: int, radius: float, material: Material, air: str
     return math.sqrt(stiffness / ((material.areal_mass + added) * radius**2))
 
 
+def _struck(radius: float, amplitudes: Mapping[int, float], e_count: int, air: str, numerics: Numerics) -> Simulation:
+    """A clean bubble displaced by modes P_n with the given amplitudes, relative to the radius."""
+    polynomial = np.polynomial.legendre.Legendre(np.zeros(max(amplitudes) + 1))
+    for mode, amplitude in amplitudes.items():
+        polynomial.coef[mode] = amplitude
+    scene = Scene(
+        "oscillation",
+        displaced_sphere(radius, lambda d: polynomial(d[:, 1])),
+        e_count,
+        material=CLEAN,
+        surroundings=Surroundings(air=air),
+        numerics=numerics,
+    )
+    return Simulation(scene)
+
+
 def oscillation(
     mode: int = 2,
     e_count: int = 5000,
@@ -249,16 +274,7 @@ def oscillation(
     """
     exact = oscillation_frequency(mode, radius, CLEAN, air)
     dt = 2.0 * np.pi / exact / steps_per_period
-    legendre = np.polynomial.legendre.Legendre.basis(mode)
-    scene = Scene(
-        "oscillation",
-        displaced_sphere(radius, lambda d: amplitude * legendre(d[:, 1])),
-        e_count,
-        material=CLEAN,
-        surroundings=Surroundings(air=air),
-        numerics=Numerics(scheme=scheme, **numerics),
-    )
-    simulation = Simulation(scene)
+    simulation = _struck(radius, {mode: amplitude}, e_count, air, Numerics(scheme=scheme, **numerics))
     count = round(periods * steps_per_period)
     signal = steps(simulation, count, dt, lambda: legendre_amplitude(e_points(simulation), mode))
     time = dt * np.arange(count + 1)
@@ -280,6 +296,42 @@ def oscillation(
             **numerics,
         },
         "series": {"time": time, "signal": signal},
+    }
+
+
+def chord(
+    modes: Sequence[int] = (2, 3, 4),
+    e_count: int = 5000,
+    steps_per_period: float = 40.0,
+    periods: float = 3.0,
+    amplitude: float = 2e-3,
+    radius: float = 0.05,
+    scheme: str = "trapezoid",
+    **numerics,
+) -> dict:
+    """A bubble rings in several modes at once, each with its own frequency; without air.
+
+    No spacing or step is lucky with all of them, as one can be with a single mode. Steps and periods are those of the
+    first mode.
+
+    Returns:
+        `error` rms departure of the amplitudes over time from the exact cosines, relative to the rms of those;
+        `signal` and `exact` [steps + 1, modes] under `series`.
+    """
+    omega = np.array([oscillation_frequency(mode, radius, CLEAN, "none") for mode in modes])
+    dt = 2.0 * np.pi / omega[0] / steps_per_period
+    numbers = Numerics(scheme=scheme, **numerics)
+    simulation = _struck(radius, dict.fromkeys(modes, amplitude), e_count, "none", numbers)
+    count = round(periods * steps_per_period)
+    signal = steps(simulation, count, dt, lambda: [legendre_amplitude(e_points(simulation), n) for n in modes])
+    time = dt * np.arange(count + 1)
+    exact = signal[0] * np.cos(np.outer(time, omega))
+    return {
+        "cost": cost(simulation),
+        "error": float(np.linalg.norm(signal - exact) / np.linalg.norm(exact)),
+        **{"modes": tuple(modes), "e_count": e_count, "dt": dt, "steps_per_period": steps_per_period},
+        **{"scheme": scheme, **numerics},
+        "series": {"time": time, "signal": signal, "exact": exact},
     }
 
 
@@ -816,6 +868,7 @@ def drainage(
     at_rest: bool = False,
     width: float = 0.15,
     height: float = 0.2,
+    fps: float = 60.0,
     **numerics,
 ) -> dict:
     """An upright film drains until its surfactant carries its weight: the exponential profile, normalised by mass.
@@ -823,9 +876,10 @@ def drainage(
     `at_rest` starts from that profile, without drag unless given, and watches whether it stays.
 
     Returns:
-        `error` the L2 error of eta_E against the profile, `l_error` of eta_L, both relative; `max_speed` (m/s, over
-        the run), `amplitude` how far the profile is from an even film, by the same measure; `exact` and `measured`
-        the thickness ratio of bottom to top row of E.
+        `error` the L2 error of eta_E against the profile, `l_error` of eta_L, both relative; `max_speed` (m/s, of
+        all frames), `amplitude` how far the profile is from an even film, by the same measure; `exact` and `measured`
+        the thickness ratio of bottom to top row of E. `waves` under `series` is where the liquid of the L lies,
+        frame by frame: its mean of cos(k pi z/height), k from 1 to 4, [frames + 1, 4].
     """
     material = Material()
 
@@ -846,10 +900,19 @@ def drainage(
         material=material,
         surroundings=Surroundings(gravity=(0.0, -GRAVITY, 0.0), drag=drag),
         numerics=Numerics(**numerics),
+        fps=fps,
+        dt=dt,
         **fields,
     )
     simulation = Simulation(scene)
-    speeds = steps(simulation, round(duration / dt), dt, lambda: simulation.diagnostics()["max_speed"])
+
+    def observe() -> list[float]:
+        y = l_array(simulation, "x")[:, 1] / height + 0.5
+        waves = np.cos(np.pi * np.outer(np.arange(1, 5), y)) @ l_array(simulation, "mass")
+        return [simulation.diagnostics()["max_speed"], *waves / l_array(simulation, "mass").sum()]
+
+    seen = _frames(simulation, round(duration * fps), observe)
+    speeds = seen[:, 0]
     errors = _profile_errors(simulation, profile)
     x, eta, aim = e_points(simulation), e_thickness(simulation), profile(e_points(simulation))
     low, high = x[:, 1] == x[:, 1].min(), x[:, 1] == x[:, 1].max()
@@ -864,7 +927,8 @@ def drainage(
         "final_speed": float(speeds[-1]),
         **{"e_count": simulation.film.n_e, "l_per_e": l_per_e, "duration": duration, "dt": dt, "drag": drag},
         **{"at_rest": at_rest, **numerics},
-        "series": {"z": x[:, 1] + 0.5 * height, "eta": eta, "exact": material.thickness * aim, "speed": speeds},
+        "series": {"z": x[:, 1] + 0.5 * height, "eta": eta, "exact": material.thickness * aim, "speed": speeds}
+        | {"waves": seen[:, 1:]},
     }
 
 
@@ -888,11 +952,8 @@ def equilibrium(e_count: int = 1050, l_per_e: int = 16, duration: float = 5.0, *
             (eta_l - np.average(eta_l, weights=mass)) ** 2, weights=mass
         )
 
-    seen = [observe()]
-    for _ in range(frames):
-        simulation.advance_frame()
-        seen.append(observe())
-    fall = np.array(seen) / seen[0]
+    seen = _frames(simulation, frames, observe)
+    fall = seen / seen[0]
     last = fall[-max(1, round(scene.fps)) :]
     return {
         "cost": cost(simulation),
