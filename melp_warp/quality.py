@@ -6,6 +6,7 @@ the named ones lie.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -26,7 +27,7 @@ class Quality:
         meaning: one line.
         e: factor on the number of E.
         l: factor on the L per E; a scene with L keeps at least one.
-        step: factor on the largest step: on `dt` and on `cfl`.
+        step: factor on the largest step: on `dt`, and on `cfl` times the spacing.
         keys: values of single keys, which take the place of what the factors give; a scene without one goes without.
         foam_keys: the same, further ones in scenes of several bubbles.
     """
@@ -53,7 +54,7 @@ class Quality:
             "e_count": max(min(count, LEAST_E), round(self.e * count)),
             "l_per_e": max(1, round(self.l * ratio)),
             "dt": None if defaults["dt"] is None else self.step * defaults["dt"],
-            "cfl": self.step * defaults["cfl"],
+            "cfl": self.step * math.sqrt(self.e) * defaults["cfl"],
             **self.keys,
             **foam,
         }

@@ -55,6 +55,17 @@ def test_order_in_space():
     assert v.space_order(4)["measured"] > 1.6
 
 
+def test_modes_ring_at_once_as_they_do_alone():
+    """Small amplitudes add up: each mode of a chord rings as by itself, and the error is that of all together."""
+    numbers = {"e_count": 600, "periods": 0.5}
+    together = v.chord(modes=(2, 3), amplitude=1e-3, **numbers)["series"]
+    alone = v.chord(modes=(2,), amplitude=1e-3, **numbers)["series"]
+    assert np.abs(together["signal"][:, :1] - alone["signal"]).max() < 0.02 * 1e-3
+    departure = together["signal"] - together["exact"]
+    assert 0.01 < np.linalg.norm(departure) / np.linalg.norm(together["exact"]) < 0.1
+    assert np.allclose(together["exact"][0], together["signal"][0], rtol=1e-12)
+
+
 def test_drum():
     """Fundamental of a round membrane, omega = 2.404826/R sqrt(2 sigma/m), T/80: the midpoint rule takes 0.05 %.
 

@@ -53,7 +53,7 @@ def test_designed_set_visits_every_part_of_every_range_once():
     for values, low, high in (
         ([math.log(p.e) for p in points], -0.5 * math.log(8.0), 0.5 * math.log(8.0)),
         ([math.log(p.step) for p in points], -math.log(4.0), math.log(4.0)),
-        ([math.log10(p.keys["tolerance"] / tradeoff.SOLVED) for p in points], -2.5, 0.0),
+        ([math.log10(p.keys["tolerance"] / tradeoff.SOLVED) for p in points], -2.0, 0.0),
     ):
         part = np.floor(8.0 * (np.array(values) - low) / (high - low))
         assert sorted(part) == list(range(8))
@@ -80,6 +80,18 @@ def test_a_case_at_two_points_and_one_that_is_refused(device):
     refused = tradeoff.measure("rest", "e", "", Quality(e=0.2), case)
     assert "e_count" in refused.stopped
     assert math.isnan(refused.error)
+
+
+def test_a_picture_is_bought_by_l_and_support():
+    """A run with fewer L or less support gives another picture; the case's own numbers count where none is said."""
+    fewer, narrow, more, own = (
+        Record("vortex", "", "", changes, error=0.1, cost=1.0)
+        for changes in ({"l_per_e": 2}, {"support": 2.5}, {"l_per_e": 8, "support": 4.0}, {})
+    )
+    records = [fewer, narrow, more, own]
+    assert tradeoff.with_as_good_a_picture(own, records) == [more, own]
+    assert tradeoff.with_as_good_a_picture(fewer, records) == [fewer, more, own]
+    assert tradeoff.with_as_good_a_picture(more, records) == [more]
 
 
 def test_the_step_of_a_case_is_its_own(device):
@@ -189,7 +201,7 @@ def test_page_tells_what_was_found(tool):
     assert tool.cell(records, {"vortex": own}, "vortex", "skin", "1") == ""
     row = tool.qualities(records)[2].split(" | ")
     assert "**on the front**" in row[1] and "**on the front**" in row[2]
-    assert "4.0 times the cost of the front" in row[3]
+    assert "4.0 times the cost of the front of its picture" in row[3]
     assert row[4].startswith("refused")
     assert "0.4 | 2 | 1 | - | -" in tool.overview(records)[2]
 

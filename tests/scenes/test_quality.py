@@ -63,7 +63,14 @@ def test_paper_has_the_papers_settings(name):
 def test_factors_are_relative_to_the_scene():
     defaults = load_scene("giant_bubble").parameters.defaults
     changed = Quality(e=0.5, l=0.25, step=2.0, keys={"skin": 0.3}).apply(defaults)
-    assert changed == {"e_count": 1000, "l_per_e": 4, "dt": pytest.approx(1 / 60), "cfl": 1.98, "skin": 0.3}
+    same_factor_of_time = pytest.approx(1.98 * 0.5**0.5)
+    assert changed == {
+        "e_count": 1000,
+        "l_per_e": 4,
+        "dt": pytest.approx(1 / 60),
+        "cfl": same_factor_of_time,
+        "skin": 0.3,
+    }
     assert Quality(l=0.0).apply(defaults) == {"l_per_e": 1}
     assert Quality(l=4.0).apply(load_scene("oscillating_bubble").parameters.defaults) == {}
 
