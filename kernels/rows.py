@@ -14,10 +14,10 @@ vec5 = wp.types.vector(length=5, dtype=wp.float32)
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
 vec10 = wp.types.vector(length=10, dtype=wp.float32)
 vec17 = wp.types.vector(length=17, dtype=wp.float32)
-vec12 = wp.types.vector(length=12, dtype=wp.float32)
+vec16 = wp.types.vector(length=16, dtype=wp.float32)
 mat53 = wp.types.matrix(shape=(5, 3), dtype=wp.float32)
 mat55 = wp.types.matrix(shape=(5, 5), dtype=wp.float32)
-mat58 = wp.types.matrix(shape=(5, 8), dtype=wp.float32)
+mat68 = wp.types.matrix(shape=(6, 8), dtype=wp.float32)
 
 CORNERS = 16
 """Most corners of a cell."""
@@ -521,26 +521,33 @@ def write_pack(place: int, x: wp.vec3, m: wp.vec3, s: wp.vec3, slope: wp.mat33, 
 @wp.func_native(f"""{ROW}
     const float* packs = (const float*)pack.data;
     const float* weights = weight.data;
-    const float origin[8] = {{p[0], p[1], p[2]}};
+    const float px = p[0], py = p[1], pz = p[2];
     float r0[8] = {{}}, rx[8] = {{}}, ry[8] = {{}}, rz[8] = {{}}, n[4] = {{}};
+    float xx = 0.0f, xy = 0.0f, xz = 0.0f, yy = 0.0f, yz = 0.0f, zz = 0.0f;
     for (int k = first; k < last; ++k)
     {{
-        const float* row = packs + 12 * (size_t)index[k];
-        const float w = weights[k];
-        const float wx = w * (row[0] - origin[0]), wy = w * (row[1] - origin[1]), wz = w * (row[2] - origin[2]);
+        const float* row = packs + 16 * (size_t)index[k];
+        const float w = weights[k], dx = row[8] - px, dy = row[9] - py, dz = row[10] - pz;
+        const float wx = w * dx, wy = w * dy, wz = w * dz;
 {LANES}
         for (int c = 0; c < 8; ++c)
         {{
-            const float q = row[c] - origin[c];
+            const float q = row[c];
             r0[c] += w * q;
             rx[c] += wx * q;
             ry[c] += wy * q;
             rz[c] += wz * q;
         }}
         for (int c = 0; c < 4; ++c)
-            n[c] += w * row[8 + c];
+            n[c] += w * row[12 + c];
+        xx += wx * dx;
+        xy += wx * dy;
+        xz += wx * dz;
+        yy += wy * dy;
+        yz += wy * dz;
+        zz += wz * dz;
     }}
-    wp::mat_t<5, 8, float> sums;
+    wp::mat_t<6, 8, float> sums;
     for (int c = 0; c < 8; ++c)
     {{
         sums.data[0][c] = r0[c];
@@ -548,16 +555,20 @@ def write_pack(place: int, x: wp.vec3, m: wp.vec3, s: wp.vec3, slope: wp.mat33, 
         sums.data[2][c] = ry[c];
         sums.data[3][c] = rz[c];
     }}
+    const float second[6] = {{xx, xy, xz, yy, yz, zz}};
+    for (int c = 0; c < 6; ++c)
+        sums.data[4][c] = second[c];
     for (int c = 0; c < 4; ++c)
-        sums.data[4][c] = n[c];
+        sums.data[5][c] = n[c];
     return sums;
 """)
 def moment_row(
-    i: int, p: wp.vec3, pack: wp.array(dtype=vec12), weight: wp.array(dtype=float), rows: Neighbors
-) -> mat58:
-    """sum_k weight_k (1, d) x (d, a, 1, b) in rows 0 to 3, with d = position - p, and sum_k weight_k c in row 4.
+    i: int, p: wp.vec3, pack: wp.array(dtype=vec16), weight: wp.array(dtype=float), rows: Neighbors
+) -> mat68:
+    """sum_k weight_k (1, d) x (a, b, c, 1) in rows 0 to 3, with d = position - p.
 
-    A pack is (position, a, 1, b, c, -), with vectors a and c.
+    In row 4 sum_k weight_k (d_x d_x, d_x d_y, d_x d_z, d_y d_y, d_y d_z, d_z d_z), in row 5 sum_k weight_k n. A pack is
+    (a, b, c, 1, position, -, n, -), with vectors a, b and n.
     """
     ...
 

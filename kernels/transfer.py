@@ -3,7 +3,7 @@
 import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import Blocks, gather_blocks, mat58, moment_row, vec12, weigh_row, write_pack
+from melp_warp.kernels.rows import Blocks, gather_blocks, mat68, moment_row, vec16, weigh_row, write_pack
 from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -135,12 +135,16 @@ def keep_normal_e(normal: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3)):
 def pack_e(
     x: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
+    before: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     growth: wp.array(dtype=float),
     # outputs
-    pack: wp.array(dtype=vec12),
+    pack: wp.array(dtype=vec16),
 ):
-    """What L gather from each E, side by side for `rows.moment_row`. [n]; boundary particles have no growth."""
+    """What L gather from each E, side by side for `rows.moment_row`: u, its change, growth, position, normal.
+
+    [n]; boundary particles have no growth; no change without `before`.
+    """
     i = wp.tid()
     g = float(0.0)
     if i < growth.shape[0]:
@@ -148,46 +152,41 @@ def pack_e(
     p = x[i]
     v = u[i]
     n = normal[i]
-    pack[i] = vec12(p[0], p[1], p[2], v[0], v[1], v[2], 1.0, g, n[0], n[1], n[2], 0.0)
+    c = wp.vec3()
+    if before:
+        c = v - before[i]
+    pack[i] = vec16(v[0], v[1], v[2], c[0], c[1], c[2], g, 1.0, p[0], p[1], p[2], 0.0, n[0], n[1], n[2], 0.0)
 
 
 @wp.func
-def velocity_of(sums: mat58, n: wp.vec3):
-    """Mean velocity (16), its slope B D^-1 (17) in the plane normal to n, and mean offset of the E, from `moment_row`.
+def slope_of(moment: wp.mat33, cov: wp.vec3, e1: wp.vec3, e2: wp.vec3):
+    """B D^-1 (17) in the plane of e1 and e2, from B and D = (d11, d12, d22). 0 where the E lie on one line."""
+    det = cov[0] * cov[2] - cov[1] * cov[1]
+    slope = wp.mat33()
+    if det > 1.0e-4 * cov[0] * cov[2]:
+        b1 = moment * e1
+        b2 = moment * e2
+        slope = wp.outer((cov[2] * b1 - cov[1] * b2) / det, e1) + wp.outer((cov[0] * b2 - cov[1] * b1) / det, e2)
+    return slope
 
-    The slope is 0 where the E lie on one line.
-    """
-    second = wp.mat33()
+
+@wp.func
+def moment_of(sums: mat68, column: int, mean: wp.vec3, first: wp.vec3):
+    """B of (17), mean of (a - mean a) x (d - mean d), of the vector in three columns of `moment_row`."""
     moment = wp.mat33()
     for a in range(3):
         for c in range(3):
-            second[a, c] = sums[a + 1, c]
-            moment[c, a] = sums[a + 1, 3 + c]
-    total = sums[0, 6]
-    first = wp.vec3(sums[0, 0], sums[0, 1], sums[0, 2]) / total
-    velocity = wp.vec3(sums[0, 3], sums[0, 4], sums[0, 5]) / total
-    b = moment / total - wp.outer(velocity, first)
-    cov = second / total - wp.outer(first, first)
-    e1, e2 = tangent_basis(n)
-    d11 = wp.dot(e1, cov * e1)
-    d12 = wp.dot(e1, cov * e2)
-    d22 = wp.dot(e2, cov * e2)
-    det = d11 * d22 - d12 * d12
-    slope = wp.mat33()
-    if det > 1.0e-4 * d11 * d22:
-        b1 = b * e1
-        b2 = b * e2
-        slope = wp.outer((d22 * b1 - d12 * b2) / det, e1) + wp.outer((d11 * b2 - d12 * b1) / det, e2)
-    return velocity, slope, first
+            moment[a, c] = sums[c + 1, column + a] / sums[0, 7] - mean[a] * first[c]
+    return moment
 
 
 @wp.kernel
 def gather_e_to_l(
     x_l: wp.array(dtype=wp.vec3),
-    pack: wp.array(dtype=vec12),
+    pack: wp.array(dtype=vec16),
     weight: wp.array(dtype=float),
     rows: Neighbors,
-    kept: float,
+    flip: float,
     theta: wp.array(dtype=float),
     # outputs
     u_l: wp.array(dtype=wp.vec3),
@@ -198,77 +197,50 @@ def gather_e_to_l(
 ):
     """Velocity (16), affine state (17), inertia (18) and thickness (8) of each L.
 
-    The velocity that L move with is that of the E, the one they carry on, and the affine state, are extrapolated to the
-    end of the step and hold what `look_back_l` found, where it ran.
+    The velocity that L move with is that of the E after theta dt, u_E'; the one they carry on, and the affine state,
+    are extrapolated to the end of the step, u_E' + (1/theta - 1)(u_E' - u_E).
+
+    FLIP (Brackbill and Ruppel 1986) keeps of an L its own velocity less what the E made of it, u_L - sum W^ u_E, here
+    the share `flip` of it along the film: the normal motion is the E's. Its mass-weighted sum over the L is 0, as the
+    E hold the momentum of the L.
 
     With the weights of (6), over E alone: a round trip then cannot add energy. With boundary particles in these sums
     and not in those, a flow along a rim fed on the difference.
 
     Args:
         x_l: [n_l] m.
-        pack: [n] positions, velocities, normals and relative change of the thickness in this step, see `pack_e`.
+        pack: [n] velocities after theta dt, their change, relative change of the thickness in this step, positions
+            and normals, see `pack_e`.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
-        kept: 1 where `look_back_l` ran, else 0.
-        theta: [1] share of the step after which u_E is.
-        u_l: [n_l] carried velocity sum W^ u_E, m/s.
+        flip: share of an L's departure from the E that it keeps, 0 to 1.
+        theta: [1] share of the step after which u_E' is.
+        u_l: [n_l] carried velocity, m/s.
         affine_l: [n_l] B D^-1 with differences of position in the tangent plane, 1/s.
         v_l: [n_l] velocity at the particle itself, m/s.
         normal_l: [n_l] unit normals.
         eta_l: [n_l] m.
     """
     i = rows.first + wp.tid()
-    p = x_l[i]
-    sums = moment_row(i, p, pack, weight, rows)
-    total = sums[0, 6]
-    growth = sums[0, 7]
-    if total > 0.0:
-        n = wp.normalize(wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2]))
-        velocity, affine, first = velocity_of(sums, n)
-        u_l[i] = 1.0 / theta[0] * velocity + kept * u_l[i]
-        affine_l[i] = 1.0 / theta[0] * affine + kept * affine_l[i]
-        v_l[i] = velocity - affine * first
-        normal_l[i] = n
-        eta_l[i] = eta_l[i] * wp.exp(wp.clamp(growth / total, -1.0, 1.0))
-
-
-@wp.kernel
-def look_back_l(
-    x_l: wp.array(dtype=wp.vec3),
-    pack: wp.array(dtype=vec12),
-    weight: wp.array(dtype=float),
-    rows: Neighbors,
-    flip: float,
-    theta: wp.array(dtype=float),
-    # outputs
-    u_l: wp.array(dtype=wp.vec3),
-    affine_l: wp.array(dtype=wp.mat33),
-):
-    """What L carry on of the velocities before the step; `gather_e_to_l` adds those after it.
-
-    FLIP (Brackbill and Ruppel 1986) keeps of an L its own velocity less what the E make of it, u_L - sum W^ u_E, here
-    the share `flip` of it along the film: the normal motion is the E's. Its mass-weighted sum over the L is 0, as the
-    E hold the momentum of the L. What is extrapolated to the end of a step from u_E after theta dt,
-    u_E' + (1/theta - 1)(u_E' - u_E), has -(1/theta - 1) u_E in it.
-
-    Args:
-        x_l: [n_l] m.
-        pack: [n] as in `gather_e_to_l`, with the velocities before the step.
-        weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
-        rows: L:E neighbours.
-        flip: share of the departure that is kept, 0 to 1.
-        theta: [1] share of the step after which the velocities of `gather_e_to_l` are.
-        u_l: [n_l] carried velocity; then flip (u_L - sum W^ u_E) - (1/theta - 1) sum W^ u_E, m/s.
-        affine_l: [n_l] affine state, then -(1/theta - 1) times that of the pack's velocities, 1/s.
-    """
-    i = rows.first + wp.tid()
     sums = moment_row(i, x_l[i], pack, weight, rows)
-    if sums[0, 6] > 0.0:
-        n = wp.normalize(wp.vec3(sums[4, 0], sums[4, 1], sums[4, 2]))
-        mean, slope, _ = velocity_of(sums, n)
+    total = sums[0, 7]
+    if total > 0.0:
+        n = wp.normalize(wp.vec3(sums[5, 0], sums[5, 1], sums[5, 2]))
+        velocity = wp.vec3(sums[0, 0], sums[0, 1], sums[0, 2]) / total
+        change = wp.vec3(sums[0, 3], sums[0, 4], sums[0, 5]) / total
+        first = wp.vec3(sums[1, 7], sums[2, 7], sums[3, 7]) / total
+        s = sums[4]
+        cov = wp.mat33(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]) / total - wp.outer(first, first)
+        e1, e2 = tangent_basis(n)
+        d = wp.vec3(wp.dot(e1, cov * e1), wp.dot(e1, cov * e2), wp.dot(e2, cov * e2))
+        slope = slope_of(moment_of(sums, 0, velocity, first), d, e1, e2)
         beyond = 1.0 / theta[0] - 1.0
-        u_l[i] = flip * tangential(u_l[i] - mean, n) - beyond * mean
-        affine_l[i] = -beyond * slope
+        departure = tangential(u_l[i] - velocity + change, n)
+        u_l[i] = velocity + beyond * change + flip * departure
+        affine_l[i] = slope + beyond * slope_of(moment_of(sums, 3, change, first), d, e1, e2)
+        v_l[i] = velocity - slope * first
+        normal_l[i] = n
+        eta_l[i] = eta_l[i] * wp.exp(wp.clamp(sums[0, 6] / total, -1.0, 1.0))
 
 
 @wp.kernel

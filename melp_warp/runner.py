@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from melp_warp.errors import InputError, SimulationError, require
-from melp_warp.interrupt import finish_first
+from melp_warp.interrupt import finish_first, let_through
 from melp_warp.parameters import Value
 from melp_warp.scene import Scene
 
@@ -79,7 +79,8 @@ def run(plan: Plan) -> int:
     try:
         with _Progress(plan) as progress:
             simulation = _simulation(plan)
-            _simulate(simulation, plan.scene.frames, _Output(plan, simulation), progress)
+            with finish_first():
+                _simulate(simulation, plan.scene.frames, _Output(plan, simulation), progress)
         images = _draw_run(plan) if plan.preview else []
     except KeyboardInterrupt:
         print(f"melp-warp: interrupted: {_kept(plan.out)}", file=sys.stderr)
@@ -149,14 +150,16 @@ def _simulation(plan: Plan) -> Simulation:
 
 
 def _simulate(simulation: Simulation, frames: int, output: _Output, progress: _Progress) -> None:
-    """Write frame 0, then advance and write frame after frame."""
+    """Write frame 0, then advance and write frame after frame; Ctrl-C comes through between steps and frames."""
     output.write(simulation)
+    let_through()
     while simulation.frame < frames:
         start = time.perf_counter()
         try:
             simulation.advance_frame()
         except SimulationError as error:
             raise SimulationError(f"{error}; {output.keep(simulation)}") from error
+        let_through()
         diagnostics = output.write(simulation)
         progress.advance(simulation, diagnostics, time.perf_counter() - start)
 
@@ -225,19 +228,17 @@ class _Output:
             "parameters": {key: "auto" if value is None else value for key, value in plan.parameters.items()},
         }
         frame = simulation.particles(shown)
-        with finish_first():
-            self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets), origin=frame.origin)
+        self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets), origin=frame.origin)
 
     def write(self, simulation: Simulation) -> dict:
         """Write the present frame and return its diagnostics."""
         diagnostics = simulation.diagnostics()
         sets: dict[str, ParticleFrame] = {which: simulation.particles(which) for which in set(self._sets.values())}
-        with finish_first():
-            try:
-                self._cache.write(simulation.frame, {prim: sets[which] for prim, which in self._sets.items()})
-            except SimulationError as error:
-                raise SimulationError(f"{error}; {_kept(self._folder)}") from error
-            self._log({"frame": simulation.frame, **diagnostics})
+        try:
+            self._cache.write(simulation.frame, {prim: sets[which] for prim, which in self._sets.items()})
+        except SimulationError as error:
+            raise SimulationError(f"{error}; {_kept(self._folder)}") from error
+        self._log({"frame": simulation.frame, **diagnostics})
         return diagnostics
 
     def _log(self, line: Mapping) -> None:

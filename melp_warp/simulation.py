@@ -14,6 +14,7 @@ from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationErro
 from melp_warp.events import Events
 from melp_warp.film import Film
 from melp_warp.frame import ParticleFrame
+from melp_warp.interrupt import let_through
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.launch import launch
@@ -166,6 +167,7 @@ class Simulation:
             self.stepper.wall[stage] = 0.0
         self.stepper.lists.forget_leaps()
         while end - self.time > 1e-9 / self.scene.fps:
+            let_through()
             self.stepper.lists.watched = watched
             self.step_towards(end)
             if watched:

@@ -9,7 +9,7 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import transfer as kt
-from melp_warp.kernels.rows import vec12
+from melp_warp.kernels.rows import vec16
 from melp_warp.launch import clear, launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.settings import Setting
@@ -34,7 +34,7 @@ class Transfer:
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.weight = film.zeros(lists.le.rows.index.shape[0])
         self._given = film.zeros(144 * math.ceil(film.n_l / 8))
-        self._pack = film.zeros(film.total, vec12)
+        self._pack = film.zeros(film.total, vec16)
         self.lost = film.zeros(film.n_l, wp.int32)
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
@@ -90,9 +90,7 @@ class Transfer:
             [dilation, self.claim, self.geometry.area, dt, self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT],
             [self.growth],
         )
-        if before is not None:
-            self._look_back(before, theta)
-        self._gather_to_l(theta, 0.0 if before is None else 1.0)
+        self._gather_to_l(before, theta, self.film.numerics.flip)
 
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
@@ -102,26 +100,13 @@ class Transfer:
 
     def gather_to_l(self) -> None:
         """The sums of (16)-(18), and the thickness of L grown by `growth`."""
-        self._gather_to_l(self._whole, 0.0)
+        self._gather_to_l(None, self._whole, 0.0)
 
-    def _look_back(self, before: wp.array, theta: wp.array) -> None:
-        film, lag = self.film, self.state.l
-        self._pack_e(before)
+    def _gather_to_l(self, before: wp.array | None, theta: wp.array, flip: float) -> None:
+        film, e, lag = self.film, self.state.e, self.state.l
+        launch(kt.pack_e, film.total, [e.x, e.u, before, e.normal, self.growth], [self._pack], film.device)
         film.launch_l(
-            kt.look_back_l,
-            [lag.x, self._pack, self.weight, self.lists.le.rows, film.numerics.flip, theta],
-            [lag.u, lag.affine],
-        )
-
-    def _pack_e(self, u: wp.array) -> None:
-        film, e = self.film, self.state.e
-        launch(kt.pack_e, film.total, [e.x, u, e.normal, self.growth], [self._pack], film.device)
-
-    def _gather_to_l(self, theta: wp.array, kept: float) -> None:
-        lag = self.state.l
-        self._pack_e(self.state.e.u)
-        self.film.launch_l(
             kt.gather_e_to_l,
-            [lag.x, self._pack, self.weight, self.lists.le.rows, kept, theta],
+            [lag.x, self._pack, self.weight, self.lists.le.rows, flip, theta],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],
         )

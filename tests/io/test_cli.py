@@ -372,6 +372,26 @@ def test_ctrl_c_while_a_frame_is_written_finishes_it(tmp_path, monkeypatch, caps
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_ctrl_c_in_a_finalizer_is_not_lost(tmp_path, solver, capsys):
+    """Python drops what is raised there: a run went on as if nothing had been pressed."""
+
+    class Dropped:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    def advance_frame(self):
+        if self.frame == 2:
+            Dropped()
+        StandIn.advance_frame(self)
+
+    solver.advance_frame = advance_frame
+    out = tmp_path / "cache"
+    assert run("equilibrium", "--frames", 9, "--quiet", "--out", out, *FEW) == 130
+    assert "3 frames, 0 to 2" in capsys.readouterr().err
+    assert check_cache(out) == []
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 def test_ctrl_c_before_the_first_frame(tmp_path, monkeypatch, capsys):
     def interrupted(plan):
         raise KeyboardInterrupt

@@ -23,7 +23,7 @@ def evaluate_rows(
     f: wp.array(dtype=float),
     frame: wp.array(dtype=wp.vec3),
     turn: kr.mat53,
-    pack12: wp.array(dtype=kr.vec12),
+    pack16: wp.array(dtype=kr.vec16),
     rows: Neighbors,
     r: float,
     limit: int,
@@ -51,10 +51,10 @@ def evaluate_rows(
 @wp.kernel(enable_backward=False)
 def evaluate_moments(
     x: wp.array(dtype=wp.vec3),
-    pack: wp.array(dtype=kr.vec12),
+    pack: wp.array(dtype=kr.vec16),
     pair: wp.array(dtype=float),
     rows: Neighbors,
-    out: wp.array(dtype=kr.mat58),
+    out: wp.array(dtype=kr.mat68),
 ):
     i = rows.first + wp.tid()
     out[i] = kr.moment_row(i, x[i], pack, pair, rows)
@@ -75,26 +75,26 @@ def cloud(device):
     columns = [rng.permutation(np.delete(np.arange(N), i))[: i % 41] for i in range(N)]
     frame = np.linalg.qr(rng.normal(size=(3, 3)))[0].astype(np.float32)
     turn = rng.normal(size=(5, 3)).astype(np.float32)
-    p12 = rng.normal(size=(N, 12)).astype(np.float32)
-    p12[:, :3], p12[:, 6] = x, 1.0
+    p16 = rng.normal(size=(N, 16)).astype(np.float32)
+    p16[:, 7], p16[:, 8:11] = 1.0, x
     rows = make_rows(columns, device)
     pairs = rows.index.shape[0]
     pair, laplacian = (wp.zeros(pairs, dtype=float, device=device) for _ in range(2))
     gradient, out = wp.zeros(pairs, dtype=wp.vec3, device=device), wp.zeros((N, 64), dtype=float, device=device)
-    moments = wp.zeros(N, dtype=kr.mat58, device=device)
+    moments = wp.zeros(N, dtype=kr.mat68, device=device)
 
     def array(values, dtype):
         return wp.array(values, dtype=dtype, device=device)
 
-    wx, w12 = array(x, wp.vec3), array(p12, kr.vec12)
-    inputs = [wx, array(f, float), array(frame, wp.vec3), kr.mat53(*turn.ravel().tolist()), w12]
+    wx, w16 = array(x, wp.vec3), array(p16, kr.vec16)
+    inputs = [wx, array(f, float), array(frame, wp.vec3), kr.mat53(*turn.ravel().tolist()), w16]
     launch(evaluate_rows, N, [*inputs, rows, R, LIMIT], [pair, laplacian, gradient, out], device)
-    launch(evaluate_moments, N, [wx, w12, pair, rows], [moments], device)
+    launch(evaluate_moments, N, [wx, w16, pair, rows], [moments], device)
     made = {"pair": pair, "laplacian": laplacian, "gradient": gradient, "out": out, "moments": moments}
     made = {name: a.numpy() for name, a in made.items()}
     i, j = np.repeat(np.arange(N), [len(c) for c in columns]), np.concatenate(columns).astype(int)
     d = x[j].astype(float) - x[i]
-    return made, i, j, d, {"x": x, "f": f, "frame": frame, "turn": turn, "p12": p12}
+    return made, i, j, d, {"x": x, "f": f, "frame": frame, "turn": turn, "p16": p16}
 
 
 def by_row(i, values):
@@ -316,13 +316,14 @@ def test_gathered_blocks(device):
 
 
 def test_moments_of_pack(cloud):
-    """`moment_row`: sum of weight (1, d) x (d, a, 1, b), and of weight c."""
+    """`moment_row`: sums of weight (1, d) x (a, b, c, 1), of weight d x d, and of weight n."""
     made, i, j, d, given = cloud
-    pack, w = given["p12"].astype(float)[j], made["pair"].astype(float)
+    pack, w = given["p16"].astype(float)[j], made["pair"].astype(float)
     one = np.column_stack([np.ones(len(d)), d])
-    terms = np.column_stack([d, pack[:, 3:8]])
-    agree(made["moments"][:, :4], by_row(i, w[:, None, None] * one[:, :, None] * terms[:, None, :]))
-    agree(made["moments"][:, 4, :3], by_row(i, w[:, None] * pack[:, 8:11]))
+    agree(made["moments"][:, :4], by_row(i, w[:, None, None] * one[:, :, None] * pack[:, None, :8]))
+    a, b = np.triu_indices(3)
+    agree(made["moments"][:, 4, :6], by_row(i, w[:, None] * d[:, a] * d[:, b]))
+    agree(made["moments"][:, 5, :3], by_row(i, w[:, None] * pack[:, 12:15]))
 
 
 def test_gradient_rows(cloud):
