@@ -162,7 +162,7 @@ def fit_surface_e(
     """
     i = rows.first + wp.tid()
     n = normal[i]
-    factor, c = fit_height(i, x, n, rows, r, x.shape[0])
+    factor, c = fit_height(i, x, n, rows, r, x.shape[0], False)
     surface[i] = make_quadric(c, n, r / 3.0)
     normal[i] = slope_normal(c, n)
     kappa[i] = fitted_curvature(c, r / 3.0)
@@ -223,7 +223,7 @@ def fit_inner_gradient_e(
     """
     i = rows.first + wp.tid()
     n = surface[i].normal
-    factor, c = fit_height(i, x, n, rows, r, n_e)
+    factor, c = fit_height(i, x, n, rows, r, n_e, False)
     write_gradient(i, x, n, rows, r, n_e, factor, c, gradient)
 
 
@@ -233,12 +233,13 @@ def curvature_mls_e(
     normal: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     r: float,
+    chords: bool,
     # outputs
     kappa: wp.array(dtype=float),
 ):
     """Sum of principal curvatures by a quadratic fit, full formula of (10). [n_e], 1/m."""
     i = rows.first + wp.tid()
-    _factor, c = fit_height(i, x, normal[i], rows, r, x.shape[0])
+    _factor, c = fit_height(i, x, normal[i], rows, r, x.shape[0], chords)
     kappa[i] = fitted_curvature(c, r / 3.0)
 
 

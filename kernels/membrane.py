@@ -3,6 +3,7 @@
 import warp as wp
 
 from melp_warp.kernels.gas import GAUGE, INCREMENT
+from melp_warp.kernels.neighbors import Neighbors
 
 wp.set_module_options({"enable_backward": False})
 
@@ -65,46 +66,113 @@ def film_force_e(
 
 
 @wp.kernel
-def load_membrane_e(
-    force: wp.array(dtype=float),
-    external: wp.array(dtype=float),
+def free_force_e(
     normal: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=float),
     area: wp.array(dtype=float),
     rigid: wp.array(dtype=wp.vec3),
     added: float,
-    dt: wp.array(dtype=float),
     # outputs
-    b: wp.array(dtype=float),
-    unit: wp.array(dtype=float),
-    diag: wp.array(dtype=float),
+    force: wp.array(dtype=float),
+    external: wp.array(dtype=float),
 ):
-    """Load dt a f on each E, freed of what moves the film as a whole.
+    """Free the forces of what moves the film as a whole.
 
     Tension and pressure add up to nothing on a closed film, but for what undoes the tangential forces of uneven tension
     (`recoil`): their discrete sum is taken out. What outside forces do to the film as a whole is the acceleration
     `rigid[2]`, which costs no surface.
 
     Args:
-        force: [n_e] Pa.
-        external: [n_e] Pa.
         normal: [n] unit normals.
         mass: [n_e] kg.
         area: [n_e] m^2.
         rigid: from `rigid_motion`; zeros for an open film.
         added: as in `net_force_chunks`.
+        force: [n_e] Pa.
+        external: [n_e] Pa.
+    """
+    i = wp.tid()
+    n = normal[i]
+    force[i] = force[i] - wp.dot(rigid[0], n)
+    external[i] = external[i] + wp.dot(rigid[1], n) - (mass[i] / area[i] + added) * wp.dot(rigid[2], n)
+
+
+@wp.kernel
+def load_membrane_e(
+    force: wp.array(dtype=float),
+    external: wp.array(dtype=float),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    n_e: int,
+    blur: float,
+    dt: wp.array(dtype=float),
+    # outputs
+    b: wp.array(dtype=float),
+    unit: wp.array(dtype=float),
+    diag: wp.array(dtype=float),
+):
+    """Load dt a (f + (1 + blur lap_s) f_ext) on each E.
+
+    Args:
+        force: [n_e] Pa.
+        external: [n_e] Pa.
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        weight: [pairs] a_i a_j K_ij.
+        rows: E:E neighbours.
+        n_e: number of E; outside forces know of no boundary.
+        blur: m^2.
         dt: [1] s.
         b: [n_e] load, kg m/s.
         unit: [n_e] load of a unit pressure.
         diag: [n_e] mass.
     """
-    i = wp.tid()
-    n = normal[i]
-    inside = force[i] - wp.dot(rigid[0], n)
-    outside = external[i] + wp.dot(rigid[1], n) - (mass[i] / area[i] + added) * wp.dot(rigid[2], n)
-    b[i] = dt[0] * area[i] * (inside + outside)
+    i = rows.first + wp.tid()
+    outside = external[i]
+    change = float(0.0)
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        if j < n_e:
+            change += weight[k] * (external[j] - outside)
+    b[i] = dt[0] * (area[i] * (force[i] + outside) + blur * change)
     unit[i] = dt[0] * area[i]
     diag[i] = mass[i]
+
+
+@wp.kernel
+def stiffen_pairs_e(
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    n_e: int,
+    stiffness: wp.array(dtype=float),
+    blur: float,
+    # outputs
+    pair: wp.array(dtype=float),
+):
+    """Pairs of m (1 + blur lap_s) - stiffness lap_s, times the area, with the lesser m of two E: it stays definite.
+
+    Args:
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        weight: [pairs] a_i a_j K_ij.
+        rows: E:E neighbours.
+        n_e: number of E.
+        stiffness: [1] kg.
+        blur: m^2.
+        pair: [pairs] kg.
+    """
+    i = rows.first + wp.tid()
+    own = mass[i] / area[i]
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        least = own
+        if j < n_e:
+            least = wp.min(own, mass[j] / area[j])
+        pair[k] = weight[k] * (stiffness[0] - blur * least)
 
 
 @wp.kernel

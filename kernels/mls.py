@@ -20,17 +20,19 @@ def fit_height(
     rows: Neighbors,
     r: float,
     limit: int,
+    chords: bool,
 ):
     """Fit z = c.(u, v, u^2, uv, v^2) through x_i over the plane with normal n.
 
     There is no constant term: a particle displaced alone must enter its own curvature. Lengths are in h = r/3.
-    Only neighbours below index `limit` take part.
+    Only neighbours below index `limit` take part. If `chords`, (u, v) is lengthened to the distance in space: on a
+    sphere z = -|d|^2/(2R) then, and its curvature is exact, where the quartic part of z over (u, v) adds to it.
 
     Returns:
         The factors of the normal matrix and the coefficients c.
     """
     e1, e2 = tangent_basis(n)
-    m = fit_moments(i, x, e1, e2, n, rows, r, limit)
+    m = fit_moments(i, x, e1, e2, n, rows, r, limit, chords)
     factor = factor_fit(m)
     return factor, solve_fit(factor, vec5(m[12], m[13], m[14], m[15], m[16]))
 

@@ -261,7 +261,8 @@ def weigh_row(
     float z1 = 0, z2 = 0, z3 = 0, z4 = 0, z5 = 0;
     {{{LOOP}
     {{
-{OFFSET}{WEIGHT}        const float u = dx * ax + dy * ay + dz * az, v = dx * bx + dy * by + dz * bz;
+{OFFSET}{WEIGHT}        const float ua = dx * ax + dy * ay + dz * az, va = dx * bx + dy * by + dz * bz;
+        const float bend = chords ? s / sqrtf(ua * ua + va * va + 1.0e-30f) : 1.0f, u = bend * ua, v = bend * va;
         const float wz = w * (dx * nx + dy * ny + dz * nz);
         const float uu = u * u, uv = u * v, vv = v * v, wuu = w * uu, wuv = w * uv, wvv = w * vv;
         m20 += wuu; m11 += wuv; m02 += wvv;
@@ -285,11 +286,12 @@ def fit_moments(
     rows: Neighbors,
     r: float,
     limit: int,
+    chords: bool,
 ) -> vec17:
     """Weighted moments of the neighbours of x_i below index `limit`, seen along e1, e2, n, lengths in h = r/3.
 
-    With (u, v, z) the components of x_j - x_i: sums of W u^a v^b for (a, b) = 20, 11, 02, 30, 21, 12, 03, 40, 31,
-    22, 13, 04, then of W z times u, v, u^2, uv, v^2.
+    With (u, v, z) the components of x_j - x_i, (u, v) lengthened to its length if `chords`: sums of W u^a v^b for
+    (a, b) = 20, 11, 02, 30, 21, 12, 03, 40, 31, 22, 13, 04, then of W z times u, v, u^2, uv, v^2.
     """
     ...
 
@@ -567,8 +569,8 @@ def moment_row(
 ) -> mat68:
     """sum_k weight_k (1, d) x (a, b, c, 1) in rows 0 to 3, with d = position - p.
 
-    In row 4 sum_k weight_k (d_x d_x, d_x d_y, d_x d_z, d_y d_y, d_y d_z, d_z d_z), in row 5 sum_k weight_k n. A pack is
-    (a, b, c, 1, position, -, n, -), with vectors a, b and n.
+    In row 4 sum_k weight_k (d_x d_x, d_x d_y, d_x d_z, d_y d_y, d_y d_z, d_z d_z), in row 5 sum_k weight_k (n, e). A
+    pack is (a, b, c, 1, position, -, n, e), with vectors a, b and n.
     """
     ...
 

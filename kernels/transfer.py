@@ -9,6 +9,10 @@ from melp_warp.kernels.sph import tangent_basis, tangential
 wp.set_module_options({"enable_backward": False})
 
 
+CONTRAST = wp.constant(1000.0)
+"""Most that the thickness of an L differs from that of the film around it, as a factor."""
+
+
 @wp.kernel
 def normalize_l(
     x_l: wp.array(dtype=wp.vec3),
@@ -112,13 +116,13 @@ def split_velocity_e(
     # outputs
     u: wp.array(dtype=wp.vec3),
 ):
-    """u_E: tangential part from the L, normal part kept.
+    """u_E: tangential part from the L, none where no L is near, normal part kept.
 
     E move with the normal velocity, so it needs no transport; passing it through the L would only smear it.
     """
     i = wp.tid()
     n = normal[i]
-    v = u[i]
+    v = wp.vec3()
     if mass[i] > 0.0:
         v = momentum[i] / mass[i]
     u[i] = tangential(v, n) + wp.dot(u[i], n) * n
@@ -138,24 +142,29 @@ def pack_e(
     before: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     growth: wp.array(dtype=float),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    density: float,
     # outputs
     pack: wp.array(dtype=vec16),
 ):
-    """What L gather from each E, side by side for `rows.moment_row`: u, its change, growth, position, normal.
+    """What L gather from each E, for `rows.moment_row`: u and its change, growth, position, normal and thickness.
 
-    [n]; boundary particles have no growth; no change without `before`.
+    [n]; boundary particles have no growth and no thickness; no change without `before`.
     """
     i = wp.tid()
     g = float(0.0)
+    eta = float(0.0)
     if i < growth.shape[0]:
         g = growth[i]
+        eta = mass[i] / (density * area[i])
     p = x[i]
     v = u[i]
     n = normal[i]
     c = wp.vec3()
     if before:
         c = v - before[i]
-    pack[i] = vec16(v[0], v[1], v[2], c[0], c[1], c[2], g, 1.0, p[0], p[1], p[2], 0.0, n[0], n[1], n[2], 0.0)
+    pack[i] = vec16(v[0], v[1], v[2], c[0], c[1], c[2], g, 1.0, p[0], p[1], p[2], 0.0, n[0], n[1], n[2], eta)
 
 
 @wp.func
@@ -210,7 +219,7 @@ def gather_e_to_l(
     Args:
         x_l: [n_l] m.
         pack: [n] velocities after theta dt, their change, relative change of the thickness in this step, positions
-            and normals, see `pack_e`.
+            normals and thickness, see `pack_e`.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
         flip: share of an L's departure from the E that it keeps, 0 to 1.
@@ -240,7 +249,9 @@ def gather_e_to_l(
         affine_l[i] = slope + beyond * slope_of(moment_of(sums, 3, change, first), d, e1, e2)
         v_l[i] = velocity - slope * first
         normal_l[i] = n
-        eta_l[i] = eta_l[i] * wp.exp(wp.clamp(sums[0, 6] / total, -1.0, 1.0))
+        eta = eta_l[i] * wp.exp(wp.clamp(sums[0, 6] / total, -1.0, 1.0))
+        mean = sums[5, 3] / total
+        eta_l[i] = wp.where(mean > 0.0, wp.clamp(eta, mean / CONTRAST, mean * CONTRAST), eta)
 
 
 @wp.kernel

@@ -24,6 +24,7 @@ class Features:
         exchanges: L cross between films that touch.
         foam: there are several regions, or walls, to touch.
         single: E are all particles there are, and carry the film along (`SingleLayer`).
+        explicit: the normal motion is stepped by the present force over the mass.
     """
 
     closed: bool
@@ -37,6 +38,7 @@ class Features:
     exchanges: bool
     foam: bool
     single: bool
+    explicit: bool
 
     @classmethod
     def of(cls, scene: Scene) -> Features:
@@ -57,6 +59,7 @@ class Features:
             exchanges=lagrangian and foam and scene.numerics.exchange > 0.0,
             foam=foam,
             single=single,
+            explicit=single or (scene.numerics.scheme == "explicit" and not foam),
             air=moving and scene.surroundings.air == "added_mass",
         )
 

@@ -24,7 +24,7 @@ SWEEPS = 2
 """Corrections for an uneven film mass where the air takes part; each shrinks the error by |m - mean|/(m + A)."""
 
 
-MIDPOINT_CFL = 8.0
+MIDPOINT_CFL = 6.0
 """Spacings that the shortest wave may run in a step of the midpoint rule; beyond, it goes over to backward Euler."""
 
 OFFSET_LIMIT = 0.1
@@ -39,26 +39,35 @@ class _Pair:
 
 
 class FilmResponse:
-    """Change of normal velocity under a load, (m - c lap_s) x = b, without air."""
+    """Change of normal velocity under a load, (m (1 + blur lap_s) - c lap_s) x = b, without air."""
 
-    def __init__(self, film: Film, lists: NeighborLists, geometry: Geometry):
-        self.film = film
-        operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.geometry = film, state, geometry
+        operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
         numerics = film.numerics
         self.load, self.unit = (
             ConjugateGradient(operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations)
             for _ in range(2)
         )
-        self.diag = operator.diag
-        self._scale = Setting(film.device)
-        operator.scale = self._scale.array
+        self.diag, self._operator = operator.diag, operator
+        self._blur = geometry.blur(numerics.curvature)
+        self._stiffness = Setting(film.device)
 
     def prepare(self, stiffness: float) -> None:
         """Set c = 2 sigma theta^2 dt^2 (N s^2/m = kg)."""
-        self._scale.at(stiffness)
+        self._stiffness.at(stiffness)
 
     def solve(self) -> tuple[wp.array, wp.array]:
         """Responses to the load `load.b` and to the unit pressure `unit.b`, the last ones as first guesses."""
+        film, geometry, operator = self.film, self.geometry, self._operator
+        film.launch_e(
+            km.stiffen_pairs_e,
+            [
+                *(self.state.e.mass, geometry.area, geometry.weight, operator.rows),
+                *(film.n_e, self._stiffness.array, self._blur),
+            ],
+            [operator.pair],
+        )
         self.load.solve()
         if self.film.features.closed:
             self.unit.solve()
@@ -70,7 +79,7 @@ class FilmResponse:
 
 
 class AirResponse:
-    """The same with the air's added mass: (m + A(-lap_s) - c lap_s) x = b."""
+    """The same with the air's added mass: ((m + A(-lap_s)) (1 + blur lap_s) - c lap_s) x = b."""
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.geometry, self.state = film, geometry, state
@@ -90,15 +99,20 @@ class AirResponse:
         self.mean = wp.full(1, film.material.areal_mass, dtype=wp.float32, device=film.device)
         self.low = 2.0 / _size(film) ** 2
         self.poles = air.fit_poles(
-            self.low, 4.0 * (np.pi / film.spacing) ** 2, film.surroundings.air_density, film.radius
+            self.low,
+            4.0 * (np.pi / film.spacing) ** 2,
+            film.surroundings.air_density,
+            film.radius,
+            geometry.blur("sph"),
         )
+        self._blur = geometry.blur(numerics.curvature)
         self._stiffness = -1.0
         self._load_scalar = wp.clone(self.solver.scalar)
 
     def prepare(self, stiffness: float) -> None:
         """Set c; new partial fractions only where it changed."""
         if stiffness != self._stiffness:
-            new = air.response(self.film.material.areal_mass, stiffness, *self.poles)
+            new = air.response(self.film.material.areal_mass, stiffness, *self.poles, self._blur)
             self.solver.set_function(*new, self.low)
             self._stiffness = stiffness
 
@@ -169,8 +183,8 @@ class Membrane:
         rim: Rim | None,
     ):
         self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
-        self.forces, self.rim = forces, rim
-        self.explicit = film.numerics.scheme == "explicit" or film.features.single
+        self.forces, self.rim, self.lists = forces, rim, lists
+        self.explicit = film.features.explicit
         self.midpoint = film.numerics.scheme == "trapezoid" and not self.explicit
         self.theta = 0.5 if self.midpoint else 1.0
         flowing = film.numerics.flow == "midpoint" and not film.features.single
@@ -195,7 +209,8 @@ class Membrane:
         if film.features.air and not self.explicit:
             self.response = AirResponse(film, state, lists, geometry)
         else:
-            self.response = FilmResponse(film, lists, geometry)
+            self.response = FilmResponse(film, state, lists, geometry)
+        self._blur = 0.0 if self.explicit else geometry.blur(film.numerics.curvature)
         self._whole = wp.full(1, self.theta_whole, dtype=wp.float32, device=film.device)
         self._added = wp.full(film.regions, self.added, dtype=wp.float32, device=film.device)
         self.ahead, self._theta, self._recoil = (Setting(film.device) for _ in range(3))
@@ -277,8 +292,14 @@ class Membrane:
             )
             film.launch_one(ko.rigid_motion, sums, [self.rigid])
         film.launch_e(
+            km.free_force_e, [e.normal, e.mass, self.geometry.area, self.rigid, self.added], [self.force, self.external]
+        )
+        film.launch_e(
             km.load_membrane_e,
-            [*common, self.rigid, self.added, dt],
+            [
+                *(self.force, self.external, e.mass, self.geometry.area, self.geometry.weight, self.lists.ee.rows),
+                *(film.n_e, self._blur, dt),
+            ],
             [self.response.load.b, self.response.unit.b, self.response.diag],
         )
 

@@ -32,7 +32,7 @@ def quintic(d: np.ndarray, r: float) -> np.ndarray:
 
 
 def curvature_error(simulation: Simulation) -> float:
-    """Rms difference of the MLS curvature (10) from the same fit in float64, relative to its rms."""
+    """Rms difference of the MLS curvature (10), over chords, from the same fit in float64, relative to its rms."""
     film, geometry, e = simulation.film, simulation.stepper.geometry, simulation.state.e
     found = geometry.curvature(e.x).numpy().astype(np.float64)
     x, normal = e.x.numpy().astype(np.float64), e.normal.numpy().astype(np.float64)[: film.n_e]
@@ -44,6 +44,7 @@ def curvature_error(simulation: Simulation) -> float:
     d = (3.0 / film.r) * (x[column] - x[row])
     weight = quintic(np.linalg.norm(d, axis=1), 3.0)
     a, b, z = (np.sum(d * axis[row], axis=1) for axis in (e1, e2, normal))
+    a, b = np.linalg.norm(d, axis=1) / np.hypot(a, b) * (a, b)
     basis = np.stack([a, b, a * a, a * b, b * b], axis=1)
     matrix, side = np.zeros((film.n_e, 5, 5)), np.zeros((film.n_e, 5))
     np.add.at(matrix, row, weight[:, None, None] * basis[:, :, None] * basis[:, None, :])

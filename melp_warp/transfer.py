@@ -104,7 +104,8 @@ class Transfer:
 
     def _gather_to_l(self, before: wp.array | None, theta: wp.array, flip: float) -> None:
         film, e, lag = self.film, self.state.e, self.state.l
-        launch(kt.pack_e, film.total, [e.x, e.u, before, e.normal, self.growth], [self._pack], film.device)
+        inputs = [e.x, e.u, before, e.normal, self.growth, e.mass, self.geometry.area, film.material.density]
+        launch(kt.pack_e, film.total, inputs, [self._pack], film.device)
         film.launch_l(
             kt.gather_e_to_l,
             [lag.x, self._pack, self.weight, self.lists.le.rows, flip, theta],

@@ -300,10 +300,10 @@ def oscillation(
 
 
 def chord(
-    modes: Sequence[int] = (2, 3, 4),
-    e_count: int = 5000,
-    steps_per_period: float = 40.0,
-    periods: float = 3.0,
+    modes: Sequence[int] = (2, 5, 8),
+    e_count: int = 1200,
+    steps_per_period: float = 60.0,
+    periods: float = 1.0,
     amplitude: float = 2e-3,
     radius: float = 0.05,
     scheme: str = "trapezoid",
@@ -311,18 +311,18 @@ def chord(
 ) -> dict:
     """A bubble rings in several modes at once, each with its own frequency; without air.
 
-    No spacing or step is lucky with all of them, as one can be with a single mode. Steps and periods are those of the
-    first mode.
+    No spacing or step is lucky with all of them, as one can be with a single mode. Steps are counted by the period of
+    the last mode, `periods` are those of the first.
 
     Returns:
         `error` rms departure of the amplitudes over time from the exact cosines, relative to the rms of those;
         `signal` and `exact` [steps + 1, modes] under `series`.
     """
     omega = np.array([oscillation_frequency(mode, radius, CLEAN, "none") for mode in modes])
-    dt = 2.0 * np.pi / omega[0] / steps_per_period
+    dt = 2.0 * np.pi / omega[-1] / steps_per_period
     numbers = Numerics(scheme=scheme, **numerics)
     simulation = _struck(radius, dict.fromkeys(modes, amplitude), e_count, "none", numbers)
-    count = round(periods * steps_per_period)
+    count = round(periods * steps_per_period * omega[-1] / omega[0])
     signal = steps(simulation, count, dt, lambda: [legendre_amplitude(e_points(simulation), n) for n in modes])
     time = dt * np.arange(count + 1)
     exact = signal[0] * np.cos(np.outer(time, omega))
@@ -376,19 +376,27 @@ def time_order(
     }
 
 
-def space_order(mode: int = 3, e_counts: Sequence[int] = (600, 1200, 2500, 5000), **given) -> dict:
-    """Order in the spacing of the frequency of mode n, freed of the midpoint rule's own error.
+def midpoint_frequency(mode: int, steps_per_period: float) -> float:
+    """Frequency that the midpoint rule makes of omega_n without air, over omega_n.
 
-    The midpoint rule turns omega into (2/dt) atan(omega dt/2), which is what `errors` are taken against.
+    The matrix has lap_s where the force has lap_s + 2/R^2, and is stiffer by n(n+1)/((n-1)(n+2)): for n = 2 this is
+    1 - (omega_n dt)^2/6.9 in place of 1 - (omega_n dt)^2/12.
+    """
+    angle = 2.0 * np.pi / steps_per_period
+    stiff = mode * (mode + 1) / ((mode - 1) * (mode + 2))
+    return 2.0 * math.asin(0.5 * angle / math.sqrt(1.0 + 0.25 * stiff * angle**2)) / angle
+
+
+def space_order(mode: int = 6, e_counts: Sequence[int] = (300, 600, 1200), **given) -> dict:
+    """Order in the spacing of the frequency of mode n, freed of the midpoint rule's own error: 4 or better.
 
     Returns:
         `measured` is the fitted order over sqrt(1/e_count).
     """
-    runs = [oscillation(mode, n, **given) for n in e_counts]
-    half = np.pi / np.array([run["steps_per_period"] for run in runs])
-    errors = [run["measured"] / run["exact"] * h / math.atan(h) - 1.0 for run, h in zip(runs, half, strict=True)]
+    runs = [oscillation(mode, n, **{"steps_per_period": 80.0, "tolerance": 1e-6, **given}) for n in e_counts]
+    errors = [run["measured"] / run["exact"] / midpoint_frequency(mode, run["steps_per_period"]) - 1.0 for run in runs]
     order = order_of([n**-0.5 for n in e_counts], errors)
-    return {"exact": 2.0, "measured": order, "error": order - 2.0, "errors": errors, "mode": mode, "e_counts": e_counts}
+    return {"exact": 4.0, "measured": order, "error": order - 4.0, "errors": errors, "mode": mode, "e_counts": e_counts}
 
 
 def drum(

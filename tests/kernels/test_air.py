@@ -37,37 +37,43 @@ def test_rigid_added_mass():
 
 
 @pytest.mark.parametrize("radius", [0.01, 0.1, np.inf])
-@pytest.mark.parametrize("count", [12, 60, 300, 5000, 20000])
-def test_poles_fit_the_added_mass(radius, count):
-    """sum w_k/(lambda + s_k) = A(lambda) on the film's range of lambda, as documented up to 20,000 E.
+@pytest.mark.parametrize("support", [2.0, 3.0, 6.0])
+@pytest.mark.parametrize("count", [60, 300, 5000, 20000])
+def test_poles_fit_the_added_mass(radius, count, support):
+    """sum w_k/(lambda + s_k) = A on the range of the film's discrete Laplacian, within 0.25 % up to 20,000 E.
 
-    Within 0.25 % on a closed film, 0.35 % on a plane one: 1 % of frequency would be 2 % of mass.
+    1 % of frequency would be 2 % of mass.
     """
     longest = radius if np.isfinite(radius) else 0.05
     area = 4.0 * np.pi * radius**2 if np.isfinite(radius) else np.pi * longest**2
     low, high = 2.0 / longest**2, 4.0 * np.pi**2 * count / area
-    poles, weights = air.fit_poles(low, high, RHO, radius)
+    blur = 0.12077 * support**2 / 9.0 * area / count
+    poles, weights = air.fit_poles(low, high, RHO, radius, blur)
     lam = np.geomspace(low, high, 1777)
-    error = np.abs((weights / (lam[:, None] + poles)).sum(axis=1) / air.added_mass(lam, RHO, radius) - 1.0).max()
+    exact = air.added_mass(lam * (1.0 + blur * (lam - 2.0 / radius**2)), RHO, radius)
+    error = np.abs((weights / (lam[:, None] + poles)).sum(axis=1) / exact - 1.0).max()
     print(f"R {radius:g}, {count} E: {error:.1e}")
     assert np.all(poles > 0.0) and np.all(weights > 0.0)
-    assert error < (2.5e-3 if np.isfinite(radius) else 3.5e-3)
+    assert error < 2.5e-3
 
 
 @pytest.mark.parametrize("mass", [1e-5, 4e-4, 1e-2])
-@pytest.mark.parametrize("dt", [1e-5, 1e-3, 1.0 / 60.0])
+@pytest.mark.parametrize("dt", [1e-6, 1e-4, 1e-3, 1.0 / 60.0])
 def test_response_is_its_partial_fractions(mass, dt):
-    """sum g_k/(lambda + p_k) = 1/(m + sum w_k/(lambda + s_k) + c lambda), c = 2 sigma dt^2, to rounding of float64.
+    """sum g_k/(lambda + p_k) = 1/((m + sum w_k/(lambda + s_k)) (1 - b lambda) + c lambda) to rounding.
 
-    The poles are those of a real rational function: real, or in conjugate pairs; one is real and above 0.
+    The poles are those of a real rational function: real, or in conjugate pairs; one is real and above 0. None lies
+    among the eigenvalues, which end below 0.6/b.
     """
     radius = 0.1
     low, high = 2.0 / radius**2, 4.0 * np.pi * 5000 / (4.0 * radius**2)
-    s, w = air.fit_poles(low, high, RHO, radius)
+    spread, blur = 0.12077 * 4.0 * np.pi * radius**2 / 5000, 0.1577 * 4.0 * np.pi * radius**2 / 5000
+    s, w = air.fit_poles(low, high, RHO, radius, spread)
     c = 2.0 * 0.0725 * dt**2
-    p, g = air.response(mass, c, s, w)
-    lam = np.geomspace(0.1 * low, 10.0 * high, 300)
-    exact = 1.0 / (mass + (w / (lam[:, None] + s)).sum(axis=1) + c * lam)
+    p, g = air.response(mass, c, s, w, blur)
+    lam = np.geomspace(0.1 * low, 0.65 / blur, 300)
+    exact = 1.0 / ((mass + (w / (lam[:, None] + s)).sum(axis=1)) * (1.0 - blur * lam) + c * lam)
+    assert np.all(exact > 0.0)
     got = (g / (lam[:, None] + p)).sum(axis=1)
     print(f"m {mass:g}, dt {dt:g}: error {np.abs(got / exact - 1.0).max():.1e}")
     assert np.abs(got / exact - 1.0).max() < 1e-7

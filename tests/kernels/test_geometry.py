@@ -60,10 +60,10 @@ def check_order(spacings, errors, name, least=1.8):
 def test_closed_surfaces_second_order(name, jitter, device):
     """MLS curvature and normal (largest errors), area and volume converge as dx^2 on jittered points.
 
-    The quadratic fit leaves out the quartic term of the height, an error of O(dx^2) in its second derivative, and the
-    cubic one, which enters it only as far as neighbours lie unevenly: a remainder of O(dx) times the jitter and the
-    slope of kappa, absent on a sphere and small here (with 0.15 dx it is a third of the error at 16,000 E and the order
-    comes to 1.80). Cells that lie on the fitted quadric miss O(dx^2) of area and volume, with a factor that changes
+    On a sphere the curvature, fitted over chords, is exact to the rounding of positions, eps (R/dx)^2. Elsewhere the
+    quadratic fit leaves out the quartic term of the height, an error of O(dx^2) in its second derivative, and the cubic
+    one, which enters it only as far as neighbours lie unevenly: a remainder of O(dx) times the jitter and the slope of
+    kappa, small here. Cells that lie on the fitted quadric miss O(dx^2) of area and volume, with a factor that changes
     with the pattern of the golden spiral: hence steps of four in the count. Of closed films the slope is freed of its
     cubic error: their normal is of third order (without that 2.0 on the ellipsoid).
 
@@ -85,24 +85,26 @@ def test_closed_surfaces_second_order(name, jitter, device):
             ]
         )
     for quantity, values in zip(("curvature", "normal", "area", "volume"), np.transpose(errors), strict=True):
+        if (name, quantity) == ("sphere", "curvature"):
+            assert np.all(values < 4.0 * np.finfo(np.float32).eps * (RADIUS / np.array(spacings)) ** 2)
+            continue
         check_order(spacings, values, f"{name} {quantity}", 2.5 if quantity == "normal" else 1.8)
 
 
-@pytest.mark.parametrize(("name", "jitter"), [("sphere", 0.15), ("ellipsoid", 0.1)])
-def test_narrow_support_has_the_smaller_curvature_error(name, jitter, device):
+def test_narrow_support_has_the_smaller_curvature_error(device):
     """The quartic term left out of a fit grows with the square of its width: (3/4)^2 = 0.56 of the error of support 4.
 
     On jittered points the remainder of the cubic term, of O(dx) times the jitter, takes some of that back as the film
     is refined; at 8,000 E the narrow fits are still the better ones.
     """
-    shape, exact, _, _ = CLOSED[name]
+    shape, exact, _, _ = CLOSED["ellipsoid"]
     for count in (500, 2000, 8000):
         worst = []
         for support in (3.0, 4.0):
-            _, s = make_stepper(Jittered(shape, jitter), count, device, numerics={"support": support})
+            _, s = make_stepper(Jittered(shape, 0.1), count, device, numerics={"support": support})
             _, kappa = exact(s.state.e.x.numpy().astype(np.float64))
             worst.append(np.abs(s.geometry.curvature(s.state.e.x).numpy() / kappa - 1.0).max())
-        print(f"{name}, {count} E: {worst[0]:.2%} with support 3, {worst[1]:.2%} with 4")
+        print(f"{count} E: {worst[0]:.2%} with support 3, {worst[1]:.2%} with 4")
         assert worst[0] < 0.8 * worst[1]
 
 
@@ -139,8 +141,8 @@ def test_cylinder_second_order(device):
     spacings, errors = [], []
     for count in (2000, 4000, 8000, 16000):
         samples, flat, middle = cylinder_and_plane(count)
-        film, s = make_stepper(Patch(samples), count, device)
-        _, plane = make_stepper(Patch(flat), count, device)
+        film, s = make_stepper(Patch(samples), count, device, numerics={"support": 4.0})
+        _, plane = make_stepper(Patch(flat), count, device, numerics={"support": 4.0})
         at, there = places_of(s, samples.points)[middle], places_of(plane, flat.points)[middle]
         spacings.append(film.spacing)
         errors.append(
@@ -295,7 +297,7 @@ def test_degenerate_clouds_keep_their_normal(cloud, device):
     n = normal.numpy()
     assert np.abs(np.linalg.norm(n, axis=1) - 1.0).max() < 1e-5
     assert np.all(n @ old[0] > 0.5)
-    wp.launch(kg.curvature_mls_e, 12, [points, normal, rows, 1.0], [kappa], device=device)
+    wp.launch(kg.curvature_mls_e, 12, [points, normal, rows, 1.0, True], [kappa], device=device)
     assert np.all(np.isfinite(kappa.numpy()))
 
 

@@ -260,11 +260,12 @@ def test_rational_function_of_the_laplacian(tolerance, device):
 
 
 def test_air_response_of_a_film(device):
-    """1/(m + A(lambda) + c lambda) as the solver applies it equals the dense function within the fit's 0.3 %."""
+    """1/((m + A) (1 - b lambda) + c lambda) as the solver applies it is the dense function within the fit's 0.25 %."""
     s, area, d = sphere_laplacian(device)
     m, c, rho = 4e-4, 2e-4, 1.204
     high = 4.0 * (np.pi / s.film.spacing) ** 2
-    poles, residues = air.response(m, c, *air.fit_poles(2.0, high, rho, 1.0))
+    spread, blur = s.geometry.blur("sph"), s.geometry.blur("mls")
+    poles, residues = air.response(m, c, *air.fit_poles(2.0, high, rho, 1.0, spread), blur)
     solver = rational(s, 1e-5, device)
     solver.set_function(poles, residues, 2.0)
     b = np.random.default_rng(4).normal(size=len(area))
@@ -274,10 +275,11 @@ def test_air_response_of_a_film(device):
 
     def f(lam):
         lam = np.maximum(lam, 1.0)
-        return 1.0 / (m + air.added_mass(lam, rho, 1.0) + c * lam)
+        mass = m + air.added_mass(lam * (1.0 + spread * (lam - 2.0)), rho, 1.0)
+        return 1.0 / (mass * (1.0 - blur * lam) + c * lam)
 
     exact = apply_function(d, area, f, b)
-    assert np.linalg.norm(solver.x.numpy() - exact) < 3e-3 * np.linalg.norm(exact)
+    assert np.linalg.norm(solver.x.numpy() - exact) < 2.5e-3 * np.linalg.norm(exact)
 
 
 def test_rational_of_zero(device):

@@ -38,7 +38,7 @@ def evaluate_rows(
     for c in range(4):
         out[i, c] = s[c]
     out[i, 4] = kr.sum_differences(i, f, pair, rows)
-    m = kr.fit_moments(i, x, frame[0], frame[1], frame[2], rows, r, limit)
+    m = kr.fit_moments(i, x, frame[0], frame[1], frame[2], rows, r, limit, False)
     for c in range(17):
         out[i, 5 + c] = m[c]
     q = kr.cloud_moments(i, x, rows, r)
@@ -316,14 +316,14 @@ def test_gathered_blocks(device):
 
 
 def test_moments_of_pack(cloud):
-    """`moment_row`: sums of weight (1, d) x (a, b, c, 1), of weight d x d, and of weight n."""
+    """`moment_row`: sums of weight (1, d) x (a, b, c, 1), of weight d x d, and of weight (n, e)."""
     made, i, j, d, given = cloud
     pack, w = given["p16"].astype(float)[j], made["pair"].astype(float)
     one = np.column_stack([np.ones(len(d)), d])
     agree(made["moments"][:, :4], by_row(i, w[:, None, None] * one[:, :, None] * pack[:, None, :8]))
     a, b = np.triu_indices(3)
     agree(made["moments"][:, 4, :6], by_row(i, w[:, None] * d[:, a] * d[:, b]))
-    agree(made["moments"][:, 5, :3], by_row(i, w[:, None] * pack[:, 12:15]))
+    agree(made["moments"][:, 5, :4], by_row(i, w[:, None] * pack[:, 12:16]))
 
 
 def test_gradient_rows(cloud):

@@ -94,8 +94,8 @@ def test_cache_is_float32_and_says_where_it_is_from(folder):
 
 
 def test_knob_runs_a_case_in_float64():
-    case = CASES["rest"].scaled(0.25)
-    single, exact = (tradeoff.measure("rest", "", "", q, case) for q in (tradeoff.STANDARD, KNOBS["precision"]["64"]))
+    case, points = CASES["oscillation"].scaled(0.25), (tradeoff.STANDARD, KNOBS["precision"]["64"])
+    single, exact = (tradeoff.measure("oscillation", "", "", q, case) for q in points)
     assert exact.changes == {"precision": 64}
     assert exact.error == pytest.approx(single.error, rel=1e-4)
     assert exact.error != single.error

@@ -9,30 +9,26 @@ from melp_warp.errors import SimulationError
 
 @pytest.mark.parametrize("mode", [2, 3, 4])
 def test_frequency_in_vacuo(mode):
-    """omega_n^2 = 2 sigma (n-1)(n+2)/(m R^2) within 1 %, midpoint rule at T/40.
-
-    The midpoint rule's own share is (omega dt)^2/12 = 0.2 %. 2,500 E and half a period instead of 5,000 and three:
-    the rest of the error is second order in the spacing and thus twice as large.
-    """
-    run = v.oscillation(mode, e_count=2500, periods=0.75)
-    assert abs(run["error"]) < 0.01
+    """omega_n^2 = 2 sigma (n-1)(n+2)/(m R^2) within 0.1 %, but for the midpoint rule's own 0.2 to 0.4 % at T/40."""
+    run = v.oscillation(mode, e_count=1200, periods=1.5)
+    assert abs(run["measured"] / run["exact"] / v.midpoint_frequency(mode, 40.0) - 1.0) < 0.001
     assert abs(run["damping"]) < 0.01
 
 
 @pytest.mark.parametrize("mode", [2, 3, 4])
 def test_frequency_with_the_mass_of_the_air(mode):
-    """m + rho_air R (2n+1)/(n(n+1)) in place of m: 11 instead of 122 Hz. 1 % at 5,000 E; here 1,500."""
-    run = v.oscillation(mode, e_count=1500, periods=0.75, air="added_mass")
-    assert abs(run["error"]) < 0.01 * 5000 / 1500
+    """m + rho_air R (2n+1)/(n(n+1)) in place of m, 11 instead of 122 Hz: 0.1 % but for the midpoint rule's own."""
+    run = v.oscillation(mode, e_count=1200, periods=1.5, air="added_mass")
+    assert abs(run["measured"] / run["exact"] / v.midpoint_frequency(mode, 40.0) - 1.0) < 0.001
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("air", ["none", "added_mass"])
 @pytest.mark.parametrize("mode", [2, 3, 4])
 def test_frequency_at_full_resolution(mode, air):
-    """The figures to reach: 1 % at 5,000 E and T/40, over three periods."""
+    """The figures to reach: 1 % at 5,000 E and T/40, over three periods; half of that."""
     run = v.oscillation(mode, air=air)
-    assert abs(run["error"]) < 0.01
+    assert abs(run["error"]) < 0.005
     assert abs(run["damping"]) < 0.005
 
 
@@ -51,15 +47,16 @@ def test_order_in_time(scheme, counts, least, most):
 
 @pytest.mark.slow
 def test_order_in_space():
-    """The MLS curvature makes the frequency second order in the spacing; mode 4, the shortest wave, shows it best."""
-    assert v.space_order(4)["measured"] > 1.6
+    """What curvature blurs is taken out of the inertia: the frequency is of fourth order; short waves show it best."""
+    assert v.space_order()["measured"] > 3.7
 
 
 def test_modes_ring_at_once_as_they_do_alone():
     """Small amplitudes add up: each mode of a chord rings as by itself, and the error is that of all together."""
-    numbers = {"e_count": 600, "periods": 0.5}
-    together = v.chord(modes=(2, 3), amplitude=1e-3, **numbers)["series"]
-    alone = v.chord(modes=(2,), amplitude=1e-3, **numbers)["series"]
+    ratio = v.oscillation_frequency(3, 0.05, v.CLEAN, "none") / v.oscillation_frequency(2, 0.05, v.CLEAN, "none")
+    numbers = {"e_count": 600, "periods": 0.5, "amplitude": 1e-3}
+    together = v.chord(modes=(2, 3), steps_per_period=40.0 / ratio, **numbers)["series"]
+    alone = v.chord(modes=(2,), steps_per_period=40.0, **numbers)["series"]
     assert np.abs(together["signal"][:, :1] - alone["signal"]).max() < 0.02 * 1e-3
     departure = together["signal"] - together["exact"]
     assert 0.01 < np.linalg.norm(departure) / np.linalg.norm(together["exact"]) < 0.1
@@ -93,10 +90,11 @@ def explicit_run(scheme, cfl, support, e_count=300, count=60):
     return np.abs(v.e_velocities(simulation)).max()
 
 
-def test_explicit_scheme_agrees_with_the_implicit_one():
-    """At T/160 both are within their (omega dt)^2/24 and /12 of the same semi-discrete frequency."""
-    explicit, implicit = (v.oscillation(2, 400, 160.0, 0.75, scheme=s)["measured"] for s in ("explicit", "trapezoid"))
-    assert explicit == pytest.approx(implicit, rel=2e-3)
+def test_explicit_scheme_comes_to_the_same():
+    """Its fits are the paper's, whose error falls: 1.5, 0.5 % at 400, 1,600 E and T/160 ((omega dt)^2/24 is 0.01 %)."""
+    errors = [abs(v.oscillation(2, n, 160.0, 0.75, scheme="explicit")["error"]) for n in (400, 1600)]
+    assert errors[0] < 0.02
+    assert errors[1] < 0.4 * errors[0]
 
 
 @pytest.mark.parametrize(("support", "stable", "unstable"), [(3.0, 1.1, 1.5), (4.0, 1.4, 2.2)])

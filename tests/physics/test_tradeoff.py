@@ -68,16 +68,16 @@ def test_knobs_of_a_case_are_knobs(name):
 
 
 def test_a_case_at_two_points_and_one_that_is_refused(device):
-    """Four times the E bring the error of the resting bubble's pressure down; too few are told, not raised."""
-    case = CASES["rest"].scaled(0.4)
-    own, finer = (tradeoff.measure("rest", "e", "", Quality(e=f), case) for f in (1.0, 4.0))
-    assert finer.error < 0.5 * own.error
-    assert finer.changes == {"e_count": 1920}
-    assert (own.steps, own.stopped) == (20, "")
+    """Four times the E bring the error of three waves down; too few are told, not raised."""
+    case = CASES["oscillation"].scaled(0.25)
+    own, finer = (tradeoff.measure("oscillation", "e", "", Quality(e=f), case) for f in (1.0, 4.0))
+    assert finer.error < 0.2 * own.error
+    assert finer.changes == {"e_count": 1200}
+    assert (own.steps, own.stopped) == (251, "")
     assert own.cost > 0.0
     assert finer.bytes > 3 * own.bytes
     assert 0.0 < own.volume_error < 1e-5
-    refused = tradeoff.measure("rest", "e", "", Quality(e=0.2), case)
+    refused = tradeoff.measure("oscillation", "e", "", Quality(e=0.2), case)
     assert "e_count" in refused.stopped
     assert math.isnan(refused.error)
 
