@@ -80,7 +80,7 @@ class Quality:
 
 QUALITIES: Mapping[str, Quality] = MappingProxyType(
     {
-        "draft": Quality("a look at the motion", e=0.4, l=0.5, step=2.0),
+        "draft": Quality("a look at the motion", e=0.5, l=0.5, step=2.0),
         "standard": Quality("the scene's own numbers"),
         "fine": Quality("for the final frames", e=2.0, step=0.5),
         "paper": Quality(
