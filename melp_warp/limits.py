@@ -406,7 +406,7 @@ def _swirling(speed: float, **given) -> Callable[[], list[Error]]:
 
 
 def _whole_giant(**given) -> Callable[[], list[Error]]:
-    return lambda: carried_out(small_giant(600, 4, **given), 12, (round_, pressure))
+    return lambda: carried_out(small_giant(600, 4, **given), 24, (round_, pressure))
 
 
 MATRIX = (

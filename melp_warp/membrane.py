@@ -24,7 +24,7 @@ SWEEPS = 2
 """Corrections for an uneven film mass where the air takes part; each shrinks the error by |m - mean|/(m + A)."""
 
 
-MIDPOINT_CFL = 6.0
+MIDPOINT_CFL = 8.0
 """Spacings that the shortest wave may run in a step of the midpoint rule; beyond, it goes over to backward Euler."""
 
 OFFSET_LIMIT = 0.1

@@ -393,7 +393,8 @@ def space_order(mode: int = 6, e_counts: Sequence[int] = (300, 600, 1200), **giv
     Returns:
         `measured` is the fitted order over sqrt(1/e_count).
     """
-    runs = [oscillation(mode, n, **{"steps_per_period": 80.0, "tolerance": 1e-6, **given}) for n in e_counts]
+    numbers = {"steps_per_period": 80.0, "amplitude": 0.005, "tolerance": 1e-6}
+    runs = [oscillation(mode, n, **{**numbers, **given}) for n in e_counts]
     errors = [run["measured"] / run["exact"] / midpoint_frequency(mode, run["steps_per_period"]) - 1.0 for run in runs]
     order = order_of([n**-0.5 for n in e_counts], errors)
     return {"exact": 4.0, "measured": order, "error": order - 4.0, "errors": errors, "mode": mode, "e_counts": e_counts}
