@@ -27,6 +27,9 @@ FRAME = wp.constant(2)
 
 FAR = wp.constant(1.0e30)
 
+LOPSIDED = wp.constant(0.1)
+"""Mean of a splat's neighbours over its radius from which on it may lie at an edge; 0.29 on a straight one."""
+
 layer_floats = wp.types.vector(length=12, dtype=wp.float32)
 layer_ints = wp.types.vector(length=12, dtype=wp.int32)
 layer_vectors = wp.types.matrix(shape=(12, 3), dtype=wp.float32)
@@ -34,7 +37,7 @@ layer_vectors = wp.types.matrix(shape=(12, 3), dtype=wp.float32)
 
 @wp.struct
 class Splat:
-    """A patch n.y = y.H.y/2, |y| < radius, about a particle; its thickness varies linearly."""
+    """A patch n.y = y.H.y/2, |y| < radius, about a particle; its thickness varies linearly. `edge`: 1 at an edge."""
 
     position: wp.vec3
     normal: wp.vec3
@@ -42,6 +45,7 @@ class Splat:
     gradient: wp.vec3
     radius: wp.float32
     thickness: wp.float32
+    edge: wp.float32
     region: wp.int32
 
 
@@ -116,6 +120,36 @@ def crowd_radius(
         radius *= wp.clamp(wp.sqrt(crowd / wp.max(count, 1.0)), 0.6, 1.5)
         radius = wp.min(radius, 6.0 * spacing)
     return radius
+
+
+@wp.func
+def at_edge(
+    grid: wp.uint64,
+    points: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    region: wp.array[wp.int32],
+    i: int,
+    a: wp.vec3,
+    b: wp.vec3,
+    reach: float,
+) -> bool:
+    """Whether the film ends beside particle `i`: six sectors of sixteen about it, in a row, are empty up to `reach`.
+
+    Inside of a film, where particles are crowded on one side only, those of the other side are found farther away.
+    """
+    seen = wp.int32(0)
+    for j in wp.hash_grid_query(grid, points[i], reach):
+        d = points[j] - points[i]
+        if j != i and wp.length_sq(d) < reach * reach and same_sheet(normals[i], normals[j], region[i], region[j]):
+            turn = 0.5 + 0.5 * wp.atan2(wp.dot(b, d), wp.dot(a, d)) / 3.14159265
+            seen |= 1 << wp.clamp(int(16.0 * turn), 0, 15)
+    seen |= seen << 16
+    empty = wp.int32(0)
+    for sector in range(22):
+        empty = wp.where((seen >> sector) & 1 == 1, 0, empty + 1)
+        if empty == 6:
+            return True
+    return False
 
 
 @wp.kernel
@@ -193,6 +227,9 @@ def fit_splats(
     s.radius = radius
     s.thickness = thickness[i]
     s.region = region[i]
+    lopsided = wp.length(wp.vec2(moment[0, 1], moment[0, 2])) > LOPSIDED * moment[0, 0]
+    if lopsided and at_edge(grid, points, normals, region, i, a, b, 3.0 * radius):
+        s.edge = 1.0
     splats[i] = s
 
 
@@ -449,6 +486,7 @@ def compose(
     thickness: layer_floats,
     size: layer_floats,
     crowd: layer_floats,
+    edge: layer_floats,
     region: layer_ints,
     normal: layer_vectors,
     shift: layer_vectors,
@@ -457,7 +495,8 @@ def compose(
 
     Two layers of different regions that touch, back to back, are the halves of one film: their thicknesses add up. A
     film ends where its splats lie on one side: `shift` over `crowd`, 0 inside and 0.3 half a spacing beyond the last
-    particle, is large. `cover` fades all layers.
+    particle, is large; only splats at an `edge` tell, for inside they may be sparse on one side. `cover` fades all
+    layers.
     """
     color = wp.vec3(0.0, 0.0, 0.0)
     through = wp.vec3(1.0, 1.0, 1.0)
@@ -486,7 +525,8 @@ def compose(
                 nm += wp.max(thickness[other] / weight[other], 0.0)
             mirrored = to_view(view, ray - 2.0 * cosine * n)
             off = wp.length(wp.vec3(shift[k, 0], shift[k, 1], shift[k, 2])) / crowd[k]
-            film = cover * (1.0 - smooth(0.4, 0.62, off)) * film_color(table, look.max_thickness, nm, cosine)
+            fade = smooth(0.4, 0.62, off) * edge[k] / weight[k]
+            film = cover * (1.0 - fade) * film_color(table, look.max_thickness, nm, cosine)
             color += wp.cw_mul(through, wp.cw_mul(film, light_from(look.environment, mirrored)))
             through = wp.cw_mul(through, pass_through(film))
     return look.gain * color + wp.cw_mul(through, behind)
@@ -552,6 +592,7 @@ def draw_samples(
     thickness = layer_floats()
     size = layer_floats()
     crowd = layer_floats()
+    edge = layer_floats()
     shift = layer_vectors()
     side = layer_ints()
     region = layer_ints()
@@ -589,6 +630,7 @@ def draw_samples(
                         w += 1.0e-12
                         m = w * (s.normal - s.curvature * y)
                         weight[layer] += w
+                        edge[layer] += w * s.edge
                         distance[layer] += w * t
                         thickness[layer] += w * (s.thickness + wp.dot(s.gradient, y))
                         normal[layer, 0] += m[0]
@@ -609,7 +651,22 @@ def draw_samples(
             image[row, column] = wire_light(outline, view, look, p, rod)
             return
     image[row, column] = compose(
-        view, look, table, ray, behind, cover, used, weight, distance, thickness, size, crowd, region, normal, shift
+        view,
+        look,
+        table,
+        ray,
+        behind,
+        cover,
+        used,
+        weight,
+        distance,
+        thickness,
+        size,
+        crowd,
+        edge,
+        region,
+        normal,
+        shift,
     )
 
 

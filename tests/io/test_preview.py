@@ -139,6 +139,20 @@ def test_scattered_points_leave_no_holes_and_no_dots():
     assert np.abs(scattered - even)[inside].max() <= 3.0
 
 
+def test_particles_crowded_in_lines_leave_no_specks():
+    """A flow draws particles into lines: six times as many on one side of a line are no edge of the film."""
+    size = 256
+    p = scattered_sphere(60000).points / RADIUS
+    stripe = np.sin(14.0 * p[:, 0]) * np.sin(14.0 * p[:, 1]) > 0.3
+    kept = stripe | (np.arange(len(p)) % 6 == 0)
+    camera = front(sphere())
+    even = white(sphere(4000), size, camera=camera, exposure=4.0)
+    lines = white(make_frame(RADIUS * p[kept], p[kept], 300.0), size, camera=camera, exposure=4.0)
+    y, x = np.mgrid[:size, :size] + 0.5 - 0.5 * size
+    inside = np.hypot(x, y) < 0.96 * 0.5 * size / 1.18
+    assert np.abs(lines - even)[inside].max() <= 3.0
+
+
 def test_film_ends_at_its_rim():
     s = Disc(0.05).sample(3000)
     frame = make_frame(s.points, s.normals, 300.0)
