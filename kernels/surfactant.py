@@ -77,6 +77,7 @@ def assemble_surfactant_e(
     rows: Neighbors,
     n_e: int,
     stiffness: float,
+    margin: float,
     body: wp.array(dtype=wp.vec3),
     dt: wp.array(dtype=float),
     # outputs
@@ -100,6 +101,7 @@ def assemble_surfactant_e(
         rows: E:E neighbours.
         n_e: number of E.
         stiffness: 2 R T Gamma_0/rho, m^3/s^2.
+        margin: what the fluxes count times, see `RIM_MARGIN`.
         body: [n_e] acceleration by outside forces, m/s^2.
         dt: [1] s.
         diag: [n_e].
@@ -114,7 +116,7 @@ def assemble_surfactant_e(
         j = rows.index[k]
         c = float(0.0)
         if j < n_e:
-            w = weight[k]
+            w = margin * weight[k]
             c = dt[0] * w * stiffness / log_mean(eta[i], eta[j])
             load += w * 0.5 * wp.dot(body[i] + body[j], x[j] - p)
         pair[k] = c

@@ -19,6 +19,13 @@ from melp_warp.state import State
 
 JACOBI_OMEGA = 0.2
 
+RIM_MARGIN = 1.2
+"""Fluxes of (14) in films with a rim, times.
+
+The midpoint rule holds at any step only where the Laplacian of (14) is at least the divergence of the gradient of (15).
+It is at most 0.98 of it on closed films, 1.08 of it beside a round rim and 1.15 in a corner, where one-sided gradients are steeper.
+"""
+
 
 class Fields:
     """Thickness and relative surfactant concentration of E.
@@ -149,6 +156,7 @@ class Tangential:
                 self.lists.ee.rows,
                 film.n_e,
                 film.stiffness,
+                1.0 if self.rim is None else RIM_MARGIN,
                 self.forces.body,
                 dt,
             ],
