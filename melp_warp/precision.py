@@ -83,8 +83,7 @@ def solver_error(simulation: Simulation, dt: float) -> tuple[float, float]:
     stepper.fields.update()
     stepper.forces.update()
     before = stepper.fields.gamma.numpy().astype(np.float64)
-    stepper.prepare(dt)
-    stepper.tangential.solve()
+    stepper.tangential.solve(stepper.prepare(dt))
     solver = stepper.tangential.solver
     operator = solver.operator
     row, column, place = pairs(operator.rows)

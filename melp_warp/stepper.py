@@ -170,15 +170,15 @@ class Stepper:
         self._guard_e("membrane")
 
     def _solve_tangential(self) -> None:
-        self.tangential.solve()  # (14), (15)
+        self.tangential.solve(self.dt.array)  # (14), (15)
         if self.film.features.recoils:
-            self.membrane.recoil(self.tangential.traction, self.tangential.theta.array, self.dt.array)
+            self.membrane.recoil(self.tangential.traction, self.tangential.theta, self.dt.array)
         self.tangential.find_dilation()
         self._guard_e("surfactant")
 
     def _scatter(self) -> None:
         flow = self.tangential
-        self.transfer.e_to_l(flow.dilation, flow.before, flow.theta.array, self.dt.array)  # (16)-(18), (8)
+        self.transfer.e_to_l(flow.dilation, flow.before, flow.theta, self.dt.array)  # (16)-(18), (8)
         flow.finish()
         self._guard_l("e_to_l")
 
@@ -205,8 +205,8 @@ class Stepper:
 
     def _advance_l(self) -> None:
         if self.film.features.moving:
-            self.membrane.find_motion_at(self.tangential.theta.array)
-        self.l_advance.advance(self.frame, self.passed, self.tangential.bend.array, self.dt.array)  # Algorithm 7
+            self.membrane.find_motion_at(self.tangential.theta)
+        self.l_advance.advance(self.frame, self.passed, self.tangential.bend, self.dt.array)  # Algorithm 7
         self.lists.record_l(self.at_rest, self.dt.array)
         self._guard_l("advance_l")
 

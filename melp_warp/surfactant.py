@@ -19,12 +19,8 @@ from melp_warp.state import State
 
 JACOBI_OMEGA = 0.2
 
-RIM_MARGIN = 1.2
-"""Fluxes of (14) in films with a rim, times.
-
-The midpoint rule holds at any step only where the Laplacian of (14) is at least the divergence of the gradient of (15).
-It is at most 0.98 of it on closed films, 1.08 of it beside a round rim and 1.15 in a corner, where one-sided gradients are steeper.
-"""
+RISE = 1.0
+"""Rise of theta with the shear in a step: what grows in it does so by about half of it a step."""
 
 
 class Fields:
@@ -62,12 +58,13 @@ class Tangential:
     (14) and (15) are solved over the first theta dt of the step, with which the L move through all of it; the velocity
     that they carry on is extrapolated to its end. theta = 1 is the paper's backward Euler. theta = 1/2 is the implicit
     midpoint rule, of second order, in which a wave keeps its energy; what a step does not resolve would alternate in
-    sign for ever, so theta rises with the step, to 2/3, where that halves in each step.
+    sign for ever and, in a flow that shears, grow. theta therefore rises with the step and with the shear, to 2/3 at
+    most, where that halves in each step.
 
     Attributes:
-        theta: share of the step that is solved for.
-        bend: of the paths of L: 1 for second order; such that a vortex neither gains nor loses by it, 2 (1 - theta),
-            unless `l_order` is 2.
+        theta: [1] share of the step that is solved for.
+        bend: [1] of the paths of L: 1 for second order; such that a vortex neither gains nor loses by it,
+            2 (1 - theta), unless `l_order` is 2.
         dilation: [n_e] div_s u, 1/s: before the solve, then where `find_dilation` was called.
         before: [n] velocity of E at the start of the step, m/s; None where L do not look back at it.
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where the film does not recoil.
@@ -88,7 +85,10 @@ class Tangential:
         self.dilation = film.zeros(film.n_e)
         self.midpoint = film.numerics.flow == "midpoint"
         self._rate = fastest_rate(film)
-        self.theta, self.bend, self._ahead = (Setting(film.device) for _ in range(3))
+        self.theta, self.bend, self._ahead = (film.zeros(1) for _ in range(3))
+        self._least, self._most = Setting(film.device), Setting(film.device)
+        self._gain = film.zeros(film.n_e) if self.midpoint and rim is not None else None
+        self._shear, self._shears = film.zeros(film.n_e), film.parts()
         self.before = film.zeros(film.total, wp.vec3) if film.numerics.looks_back else None
         self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
         numerics = film.numerics
@@ -105,24 +105,24 @@ class Tangential:
 
     def prepare(self, dt: float) -> None:
         """Set what depends on the step dt (s) to come."""
-        theta = max(1.0 / 2.0, 2.0 / 3.0 - 1.0 / max(self._rate * dt, 1.0)) if self.midpoint else 1.0
-        self.theta.at(theta)
-        self.bend.at(1.0 if self.film.numerics.l_order == 2 else 2.0 * (1.0 - theta))
-        self._ahead.at(theta * dt)
+        stiff = max(self._rate * dt, 1.0)
+        self._least.at(max(1.0 / 2.0, 2.0 / 3.0 - 1.0 / stiff) if self.midpoint else 1.0)
+        self._most.at(max(1.0 / 2.0, 2.0 / 3.0 - 1.0 / 3.0 / stiff) if self.midpoint else 1.0)
 
     def begin(self) -> None:
         """Note the velocity of E at the start of the step."""
         if self.before is not None:
             copy(self.before, self.state.e.u)
 
-    def solve(self) -> None:
+    def solve(self, dt: wp.array) -> None:
         """Advance the tangential velocity of E by theta dt: viscosity, then (14) and (15).
 
         The normal one, which is that of the step's end, is taken back to theta dt.
         """
-        u, ahead = self.state.e.u, self._ahead.array
+        u, ahead = self.state.e.u, self._ahead
+        self.choose_share(dt)
         if self.midpoint:
-            self.film.launch_e(ks.rescale_change_e, [self.before, self.theta.array, 0.0], [u])
+            self.film.launch_e(ks.rescale_change_e, [self.before, self.theta, 0.0], [u])
         if self.viscous is not None:
             self._diffuse(ahead)
         self.find_dilation()
@@ -133,7 +133,19 @@ class Tangential:
     def finish(self) -> None:
         """Take the velocity of E to the end of the step."""
         if self.midpoint:
-            self.film.launch_e(ks.rescale_change_e, [self.before, self.theta.array, 1.0], [self.state.e.u])
+            self.film.launch_e(ks.rescale_change_e, [self.before, self.theta, 1.0], [self.state.e.u])
+
+    def choose_share(self, dt: wp.array) -> None:
+        """Set theta, the bend of the paths and theta dt for a step of dt [1] from the flow as it is now."""
+        film, e = self.film, self.state.e
+        if self.midpoint:
+            if self.rim is not None:
+                self.rim.mirror_velocity()
+            film.launch_e(ks.shear_e, [e.u, e.normal, self.lists.ee.rows, self.geometry.gradient], [self._shear])
+            film.launch_parts(ks.largest_chunks, [self._shear], [self._shears])
+        bounds = [self._least.array, self._most.array, RISE]
+        bend = 1.0 if film.numerics.l_order == 2 else -1.0
+        film.launch_one(ks.choose_share, [self._shears, *bounds, bend, dt], [self.theta, self.bend, self._ahead])
 
     def find_dilation(self) -> wp.array:
         """div_s u of the velocity as it is now, no flow through a rim. [n_e], 1/s."""
@@ -144,6 +156,8 @@ class Tangential:
 
     def _solve_surfactant(self, dt: wp.array) -> None:
         film, fields, solver = self.film, self.fields, self.solver
+        if self._gain is not None:
+            film.launch_e(ks.rim_gain_e, [self.geometry.weight, self.lists.ee.rows, film.n_e], [self._gain])
         film.launch_e(
             ks.assemble_surfactant_e,
             [
@@ -156,7 +170,7 @@ class Tangential:
                 self.lists.ee.rows,
                 film.n_e,
                 film.stiffness,
-                1.0 if self.rim is None else RIM_MARGIN,
+                self._gain,
                 self.forces.body,
                 dt,
             ],

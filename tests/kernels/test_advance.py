@@ -129,6 +129,7 @@ def test_paths_of_second_order_keep_to_the_circle(device):
         lag.v.assign((x @ turn.T).astype(np.float32))
         lag.affine.assign(np.tile(turn, (film.n_l, 1, 1)).astype(np.float32))
         dt = s.prepare(h / spin)
-        s.l_advance.advance(s.frame, s.frame, s.tangential.bend.array, dt)
+        s.tangential.choose_share(dt)
+        s.l_advance.advance(s.frame, s.frame, s.tangential.bend, dt)
         radius = np.hypot(*f64(lag.x)[inner][:, [0, 2]].T) / np.hypot(*x[inner][:, [0, 2]].T)
         assert radius - 1.0 == pytest.approx(growth, rel=0.02, abs=1e-5)

@@ -8,7 +8,8 @@ import warp as wp
 
 from melp_warp.kernels.surfactant import log_mean
 from melp_warp.material import Material, Surroundings
-from melp_warp.shapes import Jittered, Rectangle, Sphere
+from melp_warp.shapes import Disc, Jittered, Rectangle, Sphere
+from melp_warp.surfactant import fastest_rate
 from tests.helpers import make_stepper, pairs_of
 
 WIDTH, HEIGHT = 0.2, 0.1
@@ -102,8 +103,7 @@ def test_implicit_step_of_a_mode(mode, number, device):
     dt = number / (np.sqrt(c2) * k)
     s.fields.eta.fill_(eta)
     s.fields.gamma.assign((1.0 + e * cosine).astype(np.float32))
-    s.prepare(dt)
-    s.tangential.solve()
+    s.tangential.solve(s.prepare(dt))
     gamma = s.tangential.solver.x.numpy()[: film.n_e].astype(np.float64)
     after = amplitude(gamma - 1.0, cosine)
     u = s.state.e.u.numpy()[: film.n_e].astype(np.float64)
@@ -131,8 +131,7 @@ def test_hydrostatic_film_stays_at_rest(device):
     s.fields.gamma.assign(profile.astype(np.float32))
     dt = 1e-2
     s.forces.update()
-    s.prepare(dt)
-    s.tangential.solve()
+    s.tangential.solve(s.prepare(dt))
     u = s.state.e.u.numpy()[: film.n_e]
     worst = np.linalg.norm(u, axis=1).max() / (G * dt)
     print(
@@ -163,8 +162,7 @@ def test_even_film_falls_freely_without_surfactant(support, bound, device):
     assert s.tangential.solver is None
     s.fields.update()
     s.forces.update()
-    s.prepare(1e-2)
-    s.tangential.solve()
+    s.tangential.solve(s.prepare(1e-2))
     u = s.state.e.u.numpy()[: film.n_e] / (G * 1e-2)
     error = np.abs(u - [0.0, -1.0, 0.0]).max(axis=1)
     assert error.max() < bound
@@ -188,6 +186,81 @@ def test_dilation_of_expansion(device):
     _, s = make_stepper(Jittered(Sphere(radius)), 1000, device, l_per_e=1)
     set_velocity(s, lambda x: x / radius)
     assert np.abs(dilate(s) * radius / 2.0 - 1.0).max() < 3e-5
+
+
+@pytest.mark.parametrize("shape", [Rectangle(WIDTH, HEIGHT), Disc(0.1), Sphere(0.05)])
+def test_midpoint_rule_holds_at_any_step(shape, device):
+    """-div grad <= Laplacian: of all fields, its share of the matrix of (14) is at most 1.
+
+    With both at theta dt, theta = 1/2, a mode of ratio r and stiffness z turns by cos phi = 1 - 2 r z/(1 + z) a step,
+    which no angle does for r > 1 and large z.
+    """
+    film, s = make_stepper(shape, 300, device, l_per_e=1, numerics={"flow": "midpoint"})
+    s.transfer.l_to_e()
+    s.fields.eta.fill_(film.material.thickness)
+    s.fields.gamma.fill_(1.0)
+    s.tangential._solve_surfactant(s.dt.at(1.0))
+    n, (i, k, j) = film.n_e, pairs_of(s.lists.ee.rows)
+    inner = j < n
+    laplacian = np.zeros((n, n))
+    laplacian[i[inner], j[inner]] = s.tangential.solver.operator.pair.numpy()[k[inner]]
+    laplacian -= np.diag(laplacian.sum(axis=1))
+    gradient = np.zeros((3, n, n))
+    gradient[:, i[inner], j[inner]] = s.geometry.inner_gradient.numpy()[k[inner]].T
+    gradient[:, np.arange(n), np.arange(n)] = -gradient.sum(axis=2)
+    both, speed = np.zeros((n, n)), film.stiffness / film.material.thickness
+    for m in range(n):  # div of the gradient of each E's field
+        u = s.state.e.u.numpy()
+        u[:n] = speed * gradient[:, :, m].T
+        s.state.e.u.assign(u)
+        both[:, m] = s.tangential.find_dilation().numpy()
+    both *= s.geometry.area.numpy()[:n, None]
+    ratios = np.linalg.eigvals(np.linalg.pinv(laplacian, rcond=1e-5) @ both)
+    print(f"{type(shape).__name__}: {ratios.real.max():.3f}")
+    assert 0.9 < ratios.real.max() < 1.0
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_rate_of_shear(flat, device):
+    """u = g y e_x shears at rate g; a rotation, a plane compression and an expansion do not shear."""
+    _, s = make_stepper(LYING if flat else Sphere(0.05), 1000, device, l_per_e=1, numerics={"flow": "midpoint"})
+    s.tangential.rim = None
+
+    def largest(function):
+        set_velocity(s, function)
+        s.tangential.choose_share(s.prepare(1e-3))
+        return float(s.tangential._shears.numpy().max())
+
+    axis = np.array([0.0, 20.0, 0.0] if flat else [8.0, -12.0, 13.0])
+    assert largest(lambda x: np.cross(axis, x)) < 1e-3 * np.linalg.norm(axis)
+    assert largest(lambda x: 20.0 * x) < 0.02
+    if flat:
+        assert largest(lambda x: 20.0 * x * [1.0, 0.0, 0.0]) < 0.02
+        assert largest(lambda x: 20.0 * x[:, [2]] * [1.0, 0.0, 0.0]) == pytest.approx(20.0, rel=1e-4)
+
+
+def test_share_of_the_step(device):
+    """theta is 1/2 at rest, 1/2 + shear dt within its bounds, 1 for backward Euler; bend 2 (1 - theta), dt theta dt."""
+    film, s = make_stepper(LYING, 1000, device, l_per_e=1, numerics={"flow": "midpoint"})
+    t, rate = s.tangential, fastest_rate(film)
+    t.rim = None
+
+    def share(shear, steps):
+        set_velocity(s, lambda x: shear * x[:, [2]] * [1.0, 0.0, 0.0])
+        t.choose_share(s.prepare(steps / rate))
+        theta, bend, ahead = (float(a.numpy()[0]) for a in (t.theta, t.bend, t._ahead))
+        assert bend == pytest.approx(2.0 * (1.0 - theta))
+        assert ahead == pytest.approx(theta * steps / rate)
+        return theta
+
+    assert share(0.0, 4.0) == pytest.approx(0.5)
+    assert share(0.01 * rate, 4.0) == pytest.approx(0.54, abs=1e-4)
+    assert share(rate, 4.0) == pytest.approx(2.0 / 3.0 - 1.0 / 12.0)
+    assert share(rate, 2.0) == pytest.approx(0.5)
+    assert share(0.0, 12.0) == pytest.approx(2.0 / 3.0 - 1.0 / 12.0)
+    film, s = make_stepper(LYING, 1000, device, l_per_e=1, numerics={"flow": "backward_euler"})
+    t, rate = s.tangential, fastest_rate(film)
+    assert share(rate, 4.0) == 1.0
 
 
 def test_viscosity_conserves_and_damps(device):

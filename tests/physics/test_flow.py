@@ -46,6 +46,16 @@ def test_midpoint_rule_neither_feeds_nor_drains_a_vortex():
     assert kept[1] == pytest.approx(kept[0], abs=0.02)
 
 
+def test_midpoint_rule_does_not_feed_a_shear_flow():
+    """Nothing drives two vortices: their energy never rises, at steps that elastic waves do not resolve either."""
+    pair = v.taylor_pair(
+        duration=2.5, e_count=1600, l_per_e=4, width=3.0, height=3.0, vortex_speed=2.0, fps=32.0, dt=1.0 / 32.0
+    )
+    energy = pair["series"]["energy"]
+    assert energy.max() == energy[0]
+    assert energy[-1] > 0.85 * energy[0]
+
+
 @pytest.mark.slow
 def test_marangoni_wave_converges():
     """1.5 % at 20 E to half a wave, three times better at 40: second order."""
