@@ -133,7 +133,7 @@ def at_edge(
     b: wp.vec3,
     reach: float,
 ) -> bool:
-    """Whether the film ends beside particle `i`: six sectors of sixteen about it, in a row, are empty up to `reach`.
+    """Whether the film ends beside particle `i`: five sectors of sixteen about it, in a row, are empty up to `reach`.
 
     Inside of a film, where particles are crowded on one side only, those of the other side are found farther away.
     """
@@ -145,9 +145,9 @@ def at_edge(
             seen |= 1 << wp.clamp(int(16.0 * turn), 0, 15)
     seen |= seen << 16
     empty = wp.int32(0)
-    for sector in range(22):
+    for sector in range(21):
         empty = wp.where((seen >> sector) & 1 == 1, 0, empty + 1)
-        if empty == 6:
+        if empty == 5:
             return True
     return False
 
@@ -161,6 +161,7 @@ def fit_splats(
     region: wp.array[wp.int32],
     spacing: float,
     crowd: float,
+    wired: bool,
     # outputs
     splats: wp.array[Splat],
 ):
@@ -176,7 +177,8 @@ def fit_splats(
         thickness: [n] nm.
         region: [n] sheets of different regions are never blended.
         spacing: usual distance of neighbours, m.
-        crowd: particles within a splat's radius.
+        crowd: particles within a splat's radius; where they lie on one side it is larger, but not at an edge.
+        wired: whether a wire says where the film ends; it has no other edge then.
         splats: [n].
     """
     i = wp.tid()
@@ -227,9 +229,12 @@ def fit_splats(
     s.radius = radius
     s.thickness = thickness[i]
     s.region = region[i]
-    lopsided = wp.length(wp.vec2(moment[0, 1], moment[0, 2])) > LOPSIDED * moment[0, 0]
-    if lopsided and at_edge(grid, points, normals, region, i, a, b, 3.0 * radius):
-        s.edge = 1.0
+    aside = wp.length(wp.vec2(moment[0, 1], moment[0, 2])) / moment[0, 0]
+    if aside > LOPSIDED:
+        if not wired and at_edge(grid, points, normals, region, i, a, b, 3.0 * radius):
+            s.edge = 1.0
+        else:
+            s.radius = radius * (1.0 + 4.0 * (aside - LOPSIDED))
     splats[i] = s
 
 
@@ -568,7 +573,7 @@ def draw_samples(
     Args:
         view: camera.
         look: environment, gain, layers.
-        outline: wire frame; film is drawn inside of it only.
+        outline: wire frame; film is drawn inside of it only, and everywhere inside.
         splats: [n] ordered by distance from the eye.
         begins: [tiles] first pair of each tile.
         ends: [tiles] one past the last pair.

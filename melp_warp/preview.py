@@ -293,10 +293,11 @@ def render(
     if environment == "auto":
         environment = "panel" if camera.flat else "studio"
     view = _view(camera, width, height, samples)
-    splats = _splats(frame, data, camera, device)
+    wire = _wire(camera, width, height, environment)
+    splats = _splats(frame, data, camera, wire, device)
     begins, ends, members = _bin_tiles(view, splats, device)
     radiance = wp.empty((view.rows, view.columns), dtype=wp.vec3, device=device)
-    arguments = [view, _look(environment, exposure, layers), _wire(camera, width, height, environment)]
+    arguments = [view, _look(environment, exposure, layers), wire]
     arguments += [splats, begins, ends, members, _color_table(float(index), str(device))]
     _launch_all(kernels.draw_samples, len(begins) * int(kernels.TILE) ** 2, arguments, radiance, device)
     picture = wp.empty((height, width), dtype=wp.vec3, device=device)
@@ -386,7 +387,9 @@ def _wire(camera: Camera, width: int, height: int, environment: str) -> kernels.
     return out
 
 
-def _splats(frame: ParticleFrame, data: dict[str, np.ndarray], camera: Camera, device) -> wp.array:
+def _splats(
+    frame: ParticleFrame, data: dict[str, np.ndarray], camera: Camera, wire: kernels.Outline, device
+) -> wp.array:
     """Patches of the particles, nearest to the eye first."""
     points = data["points"] - camera.target
     eye = np.subtract(camera.eye, camera.target)
@@ -406,8 +409,8 @@ def _splats(frame: ParticleFrame, data: dict[str, np.ndarray], camera: Camera, d
     grid = wp.HashGrid(64, 64, 64, device=device)
     grid.build(inputs[0], 2.4 * spacing)
     splats = wp.empty(len(points), dtype=kernels.Splat, device=device)
-    crowd = float(min(_CROWD, len(points)))
-    launch(kernels.fit_splats, len(points), [grid.id, *inputs, spacing, crowd], [splats], device)
+    crowd, wired = float(min(_CROWD, len(points))), wire.kind != kernels.NO_OUTLINE
+    launch(kernels.fit_splats, len(points), [grid.id, *inputs, spacing, crowd, wired], [splats], device)
     return splats
 
 

@@ -140,11 +140,11 @@ def test_scattered_points_leave_no_holes_and_no_dots():
 
 
 def test_particles_crowded_in_lines_leave_no_specks():
-    """A flow draws particles into lines: six times as many on one side of a line are no edge of the film."""
+    """A flow draws particles into lines: ten times as many on one side of a line are no edge of the film."""
     size = 256
     p = scattered_sphere(60000).points / RADIUS
     stripe = np.sin(14.0 * p[:, 0]) * np.sin(14.0 * p[:, 1]) > 0.3
-    kept = stripe | (np.arange(len(p)) % 6 == 0)
+    kept = stripe | (np.arange(len(p)) % 10 == 0)
     camera = front(sphere())
     even = white(sphere(4000), size, camera=camera, exposure=4.0)
     lines = white(make_frame(RADIUS * p[kept], p[kept], 300.0), size, camera=camera, exposure=4.0)
