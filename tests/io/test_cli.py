@@ -354,6 +354,7 @@ def test_ctrl_c_leaves_a_valid_cache(tmp_path, solver, capsys):
     assert check_cache(out) == []
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_while_a_frame_is_written_finishes_it(tmp_path, monkeypatch, capsys):
     replace, calls = os.replace, []
 
@@ -372,6 +373,7 @@ def test_ctrl_c_while_a_frame_is_written_finishes_it(tmp_path, monkeypatch, caps
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_in_a_finalizer_is_not_lost(tmp_path, solver, capsys):
     """Python drops what is raised there: a run went on as if nothing had been pressed."""
 

@@ -89,6 +89,7 @@ def test_lanes_wait_for_each_other(inside, device, monkeypatch):
     assert results[0][3][0] != 0
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_waits_for_all_lanes(device, monkeypatch):
     """Pressed when some cores have started and others have not, it comes when all are done, and nothing is lost."""
     monkeypatch.setattr(launcher, "THREADS", 3)
