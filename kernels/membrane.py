@@ -141,6 +141,12 @@ def load_membrane_e(
     diag[i] = mass[i]
 
 
+@wp.func
+def softening(mass: float, bent: float) -> float:
+    """What the bend of a film takes off the matrix: c 2/R^2 in small steps, nothing from m/8 on. kg/m^2."""
+    return bent * wp.max(1.0 - 8.0 * bent / mass, 0.0)
+
+
 @wp.kernel
 def stiffen_pairs_e(
     mass: wp.array(dtype=float),
@@ -150,10 +156,14 @@ def stiffen_pairs_e(
     n_e: int,
     stiffness: wp.array(dtype=float),
     blur: float,
+    bent: float,
     # outputs
+    diag: wp.array(dtype=float),
     pair: wp.array(dtype=float),
 ):
-    """Pairs of m (1 + blur lap_s) - stiffness lap_s, times the area, with the lesser m of two E: it stays definite.
+    """Matrix m (1 + blur lap_s) - stiffness (lap_s + bent), times the area, with the lesser m of two E.
+
+    It stays definite: of m no more than a 32nd is taken away, see `softening`.
 
     Args:
         mass: [n_e] kg.
@@ -163,10 +173,13 @@ def stiffen_pairs_e(
         n_e: number of E.
         stiffness: [1] kg.
         blur: m^2.
+        bent: 2/R^2, sum of the squares of the principal curvatures of the film as a sphere, 1/m^2.
+        diag: [n_e] kg.
         pair: [pairs] kg.
     """
     i = rows.first + wp.tid()
     own = mass[i] / area[i]
+    diag[i] = mass[i] - area[i] * softening(own, bent * stiffness[0])
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         least = own

@@ -64,9 +64,9 @@ def fit_poles(low: float, high: float, air_density: float, radius: float, blur: 
 
 
 def response(
-    mass: float, stiffness: float, poles: np.ndarray, weights: np.ndarray, blur: float
+    mass: float, stiffness: float, poles: np.ndarray, weights: np.ndarray, blur: float, softer: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Partial fractions of 1/((mass + sum_k w_k/(lambda + s_k))(1 - blur lambda) + stiffness lambda).
+    """Partial fractions of 1/((mass + sum_k w_k/(lambda + s_k))(1 - blur lambda) + stiffness lambda - softer).
 
     The denominator is the Schur complement of an arrow matrix plus lambda, so its roots are eigenvalues. A pair may be
     complex: the air's inertia falls with lambda while the stiffness grows.
@@ -77,11 +77,16 @@ def response(
         poles: s_k, 1/m^2.
         weights: w_k, kg/m^4.
         blur: of the curvature that the stiffness is that of, m^2; see `Membrane`.
+        softer: what bends of the film take off the stiffness, kg/m^2.
 
     Returns:
         Complex poles p_k and residues g_k with 1/(...) = sum_k g_k/(lambda + p_k).
     """
-    mass, stiffness, weights = mass - blur * weights.sum(), stiffness - blur * mass, weights * (1.0 + blur * poles)
+    mass, stiffness, weights = (
+        mass - blur * weights.sum() - softer,
+        stiffness - blur * mass,
+        weights * (1.0 + blur * poles),
+    )
     border = np.sqrt(weights / abs(stiffness))
     arrow = np.diag(np.concatenate([[mass / stiffness], poles]))
     arrow[0, 1:], arrow[1:, 0] = border, -np.sign(stiffness) * border

@@ -499,8 +499,8 @@ MATRIX = (
         STOPPED,
         slow=True,
     ),
-    Case("shape", "dumbbell, in a vacuum", film(dumbbell, energy, e_count=1000, frames=6), slow=True),
-    Case("shape", "the same, support 4", film(dumbbell, energy, e_count=1000, support=4.0, frames=6), slow=True),
+    Case("shape", "dumbbell, in a vacuum", film(dumbbell, energy, e_count=1200, frames=6), slow=True),
+    Case("shape", "the same, support 4", film(dumbbell, energy, e_count=1200, support=4.0, frames=6), slow=True),
     Case(
         "shape",
         "dumbbell, in air",

@@ -39,7 +39,7 @@ class _Pair:
 
 
 class FilmResponse:
-    """Change of normal velocity under a load, (m (1 + blur lap_s) - c lap_s) x = b, without air."""
+    """Change of normal velocity under a load, (m (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b, without air."""
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.geometry = film, state, geometry
@@ -64,9 +64,9 @@ class FilmResponse:
             km.stiffen_pairs_e,
             [
                 *(self.state.e.mass, geometry.area, geometry.weight, operator.rows),
-                *(film.n_e, self._stiffness.array, self._blur),
+                *(film.n_e, self._stiffness.array, self._blur, 2.0 / film.radius**2),
             ],
-            [operator.pair],
+            [operator.diag, operator.pair],
         )
         self.load.solve()
         if self.film.features.closed:
@@ -79,7 +79,7 @@ class FilmResponse:
 
 
 class AirResponse:
-    """The same with the air's added mass: ((m + A(-lap_s)) (1 + blur lap_s) - c lap_s) x = b."""
+    """The same with the air's added mass: ((m + A(-lap_s)) (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b."""
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.geometry, self.state = film, geometry, state
@@ -112,7 +112,12 @@ class AirResponse:
     def prepare(self, stiffness: float) -> None:
         """Set c; new partial fractions only where it changed."""
         if stiffness != self._stiffness:
-            new = air.response(self.film.material.areal_mass, stiffness, *self.poles, self._blur)
+            film = self.film
+            mass = film.material.areal_mass
+            ringing = mass + air.added_mass(3.0 * self.low, film.surroundings.air_density, film.radius)
+            bent = 2.0 * stiffness / film.radius**2
+            softer = bent * max(1.0 - 8.0 * bent / float(ringing), 0.0)  # as `softening`
+            new = air.response(mass, stiffness, *self.poles, self._blur, softer)
             self.solver.set_function(*new, self.low)
             self._stiffness = stiffness
 

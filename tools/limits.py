@@ -60,8 +60,9 @@ NOTES = """\
   many times 4 sigma/R, they stop on contact. In a vacuum all of 16 runs from 2 to 3.5 m/s went through, and 13 of 16
   from 4 to 5.5 m/s: it is chance then. At a wall up to 19 m/s go through, from 20 m/s on none of five runs did.
 * **Support 3, the default, has less in reserve than 4:** E on one line stop, where with `support=4` they go through, at
-  1.1 to 1.6 times the cost (docs/accuracy.md). A dumbbell in a vacuum is the other way round: of eight
-  numbers of E from 600 to 2,000 all go through at support 3, at support 4 the six below 1,500.
+  1.1 to 1.6 times the cost (docs/accuracy.md).
+* **A dumbbell in a vacuum is chance:** of eight numbers of E from 600 to 2,000 seven go through at support 3 (1,000 do
+  not), six at support 4 (1,500 and 2,000 do not). In air all do.
 """
 
 
