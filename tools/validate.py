@@ -508,7 +508,7 @@ NOTES = """\
 * **Momentum of a free bubble** is kept to some 1 % of the sum of m times speed, at any time step: the normal speed is
   solved for as a scalar, and what E carry does not turn with the liquid that flows round a bend.
 * **Redistribution costs order in time.** With E left where their normals take them the midpoint rule is of order 2.0;
-  with shifts, of which a finer run has more, it is 1.2 between T/20 and T/80.
+  with shifts, of which a finer run has more, it is 1.3 between T/20 and T/80.
 * **What is left of omega_n is the step's.** The midpoint rule is slow by (omega dt)^2/12, 0.21 % at T/40. Freed of that
   modes 2 to 4 of 1,200 E are within 0.02 %, and the order in the spacing shows in short waves alone. The drum's 0.28 %
   is the step's too (0.11 % at T/320): its rim follows the film a step late.
