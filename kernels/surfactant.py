@@ -143,29 +143,6 @@ def choose_share(
 
 
 @wp.kernel
-def rim_gain_e(
-    weight: wp.array(dtype=float),
-    rows: Neighbors,
-    n_e: int,
-    # outputs
-    gain: wp.array(dtype=float),
-):
-    """1 + share of an E's weights that lies beyond the rim. [n_e].
-
-    One-sided gradients are steep. With fluxes of (14) that count this much more, the midpoint rule holds at any step:
-    the divergence of the gradient of (15) is then at most 0.99 of its Laplacian, where it was 1.08 beside a round rim
-    and 1.15 in a corner; on closed films it is at most 0.98.
-    """
-    i = rows.first + wp.tid()
-    whole = float(0.0)
-    beyond = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        whole += weight[k]
-        beyond += wp.where(rows.index[k] < n_e, 0.0, weight[k])
-    gain[i] = 1.0 + beyond / wp.max(whole, 1.0e-30)
-
-
-@wp.kernel
 def assemble_surfactant_e(
     x: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),

@@ -40,6 +40,7 @@ class Geometry:
         gradient: [pairs] surface-gradient weights.
         inner_gradient: [pairs] the same over E alone (another array only where there is a rim).
         weight: [pairs] a_i a_j K_ij.
+        gain: [n_e] what fluxes of (14) count times beside a rim, with the midpoint rule; None elsewhere.
         cell: [n_e] Voronoi areas, m^2.
         area: [n_e] control areas, m^2.
         density: [n_e] number density with boundary particles, 1/m^2.
@@ -61,6 +62,7 @@ class Geometry:
         self.gradient = film.zeros(pairs, wp.vec3)
         self.inner_gradient = film.zeros(pairs, wp.vec3) if film.features.rim else self.gradient
         self.weight, self.near = film.zeros(pairs), film.zeros(pairs)
+        self.gain = film.zeros(film.n_e) if film.features.rim and film.numerics.flow == "midpoint" else None
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
@@ -109,6 +111,8 @@ class Geometry:
             [self.state.e.x, self.area, self.lists.ee.rows, film.r, film.n_e, RIM_WEIGHT * film.spacing**2],
             [self.weight],
         )
+        if self.gain is not None:
+            film.launch_e(kg.rim_gain_e, [self.weight, self.lists.ee.rows, film.n_e], [self.gain])
 
     def blur(self, operator: str) -> float:
         """`BLUR` of an operator, m^2."""

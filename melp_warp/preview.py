@@ -294,7 +294,7 @@ def render(
         environment = "panel" if camera.flat else "studio"
     view = _view(camera, width, height, samples)
     wire = _wire(camera, width, height, environment)
-    splats = _splats(frame, data, camera, wire, device)
+    splats = _splats(frame, data, camera, wire.kind != kernels.NO_OUTLINE, device)
     begins, ends, members = _bin_tiles(view, splats, device)
     radiance = wp.empty((view.rows, view.columns), dtype=wp.vec3, device=device)
     arguments = [view, _look(environment, exposure, layers), wire]
@@ -387,9 +387,7 @@ def _wire(camera: Camera, width: int, height: int, environment: str) -> kernels.
     return out
 
 
-def _splats(
-    frame: ParticleFrame, data: dict[str, np.ndarray], camera: Camera, wire: kernels.Outline, device
-) -> wp.array:
+def _splats(frame: ParticleFrame, data: dict[str, np.ndarray], camera: Camera, wired: bool, device) -> wp.array:
     """Patches of the particles, nearest to the eye first."""
     points = data["points"] - camera.target
     eye = np.subtract(camera.eye, camera.target)
@@ -409,7 +407,7 @@ def _splats(
     grid = wp.HashGrid(64, 64, 64, device=device)
     grid.build(inputs[0], 2.4 * spacing)
     splats = wp.empty(len(points), dtype=kernels.Splat, device=device)
-    crowd, wired = float(min(_CROWD, len(points))), wire.kind != kernels.NO_OUTLINE
+    crowd = float(min(_CROWD, len(points)))
     launch(kernels.fit_splats, len(points), [grid.id, *inputs, spacing, crowd, wired], [splats], device)
     return splats
 

@@ -87,7 +87,6 @@ class Tangential:
         self._rate = fastest_rate(film)
         self.theta, self.bend, self._ahead = (film.zeros(1) for _ in range(3))
         self._least, self._most = Setting(film.device), Setting(film.device)
-        self._gain = film.zeros(film.n_e) if self.midpoint and rim is not None else None
         self._shear, self._shears = film.zeros(film.n_e), film.parts()
         self.before = film.zeros(film.total, wp.vec3) if film.numerics.looks_back else None
         self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
@@ -156,8 +155,6 @@ class Tangential:
 
     def _solve_surfactant(self, dt: wp.array) -> None:
         film, fields, solver = self.film, self.fields, self.solver
-        if self._gain is not None:
-            film.launch_e(ks.rim_gain_e, [self.geometry.weight, self.lists.ee.rows, film.n_e], [self._gain])
         film.launch_e(
             ks.assemble_surfactant_e,
             [
@@ -170,7 +167,7 @@ class Tangential:
                 self.lists.ee.rows,
                 film.n_e,
                 film.stiffness,
-                self._gain,
+                self.geometry.gain,
                 self.forces.body,
                 dt,
             ],

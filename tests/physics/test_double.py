@@ -94,7 +94,7 @@ def test_cache_is_float32_and_says_where_it_is_from(folder):
 
 
 def test_knob_runs_a_case_in_float64():
-    """The same error but for what solves leave that stop at a residual of 1e-4, twice as many bytes."""
+    """The same error but for rounding, 6e-8 R of some 1e-2 R in each of some hundred steps; twice the bytes."""
     case, points = CASES["oscillation"].scaled(0.25), (tradeoff.STANDARD, KNOBS["precision"]["64"])
     single, exact = (tradeoff.measure("oscillation", "", "", q, case) for q in points)
     assert exact.changes == {"precision": 64}
