@@ -101,6 +101,7 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     )
     run.add_argument("--preview", action="store_true", help="draw preview.png and contact.png at the end")
     run.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    run.add_argument("--strict", action="store_true", help="exit with 1 where the run has notices")
     run.add_argument(
         "--estimate", action="store_true", help="print memory, time and disk of the run from a few steps; write nothing"
     )
@@ -181,6 +182,7 @@ def _run(options: argparse.Namespace) -> int:
         export=options.export,
         preview=options.preview,
         quiet=options.quiet,
+        strict=options.strict,
     )
     if options.estimate:
         print(runner.estimate(plan).table())

@@ -23,6 +23,7 @@ from melp_warp.scene import Scene
 if TYPE_CHECKING:
     from melp_warp.estimate import Estimate
     from melp_warp.frame import ParticleFrame
+    from melp_warp.notices import Notices
     from melp_warp.registry import SceneScript
     from melp_warp.simulation import Simulation
 
@@ -48,6 +49,7 @@ class Plan:
         export: "l", "e", "both", or None for L where there are any and E otherwise.
         preview: whether to draw preview.png and contact.png at the end.
         quiet: whether to print nothing but errors.
+        strict: whether a run that has notices (`melp_warp.notices`) counts as failed.
     """
 
     scene: Scene
@@ -58,6 +60,7 @@ class Plan:
     export: str | None = None
     preview: bool = False
     quiet: bool = False
+    strict: bool = False
 
 
 def run(plan: Plan) -> int:
@@ -67,7 +70,7 @@ def run(plan: Plan) -> int:
     /World/FilmE besides where they are asked for.
 
     Returns:
-        0, or 130 after Ctrl-C; the cache then holds every frame that was finished.
+        0; 1 where the plan is strict and there are notices; 130 after Ctrl-C. The cache holds each frame that was done.
 
     Raises:
         InputError: the output folder is taken or cannot be written, the disk is full, or the solver refuses the scene.
@@ -76,6 +79,7 @@ def run(plan: Plan) -> int:
     require(plan.export != "l" or plan.scene.l_per_e > 0, "--export", plan.export, "e or both: the scene has no L")
     _check_folder(plan.out)
     _start_warp(plan.device)
+    simulation = None
     try:
         with _Progress(plan) as progress:
             simulation = _simulation(plan)
@@ -83,11 +87,11 @@ def run(plan: Plan) -> int:
                 _simulate(simulation, plan.scene.frames, _Output(plan, simulation), progress)
         images = _draw_run(plan) if plan.preview else []
     except KeyboardInterrupt:
-        print(f"melp-warp: interrupted: {_kept(plan.out)}", file=sys.stderr)
+        print(f"melp-warp: interrupted: {_kept(plan.out)}{_noticed(simulation)}", file=sys.stderr)
         return INTERRUPTED
     if not plan.quiet:
-        _say_finished(plan.out, images)
-    return 0
+        _say_finished(plan.out, images, simulation.notices)
+    return int(plan.strict and bool(simulation.notices))
 
 
 def estimate(plan: Plan) -> Estimate:
@@ -152,15 +156,17 @@ def _simulation(plan: Plan) -> Simulation:
 def _simulate(simulation: Simulation, frames: int, output: _Output, progress: _Progress) -> None:
     """Write frame 0, then advance and write frame after frame; Ctrl-C comes through between steps and frames."""
     output.write(simulation)
+    progress.say(simulation.notices)
     let_through()
     while simulation.frame < frames:
         start = time.perf_counter()
         try:
             simulation.advance_frame()
         except SimulationError as error:
-            raise SimulationError(f"{error}; {output.keep(simulation)}") from error
+            raise SimulationError(f"{error}; {output.keep(simulation)}{_noticed(simulation)}") from error
         let_through()
         diagnostics = output.write(simulation)
+        progress.say(simulation.notices)
         progress.advance(simulation, diagnostics, time.perf_counter() - start)
 
 
@@ -190,7 +196,7 @@ class _Progress:
             TextColumn("{task.fields[state]}"),
             TimeRemainingColumn(),
             TextColumn("left"),
-            console=Console(stderr=True),
+            console=Console(stderr=True, quiet=plan.quiet),
             disable=plan.quiet,
         )
         self._name = plan.name
@@ -204,6 +210,11 @@ class _Progress:
         # an error is told in one line: no bar before it
         self._bar.live.transient = kind is not None and issubclass(kind, Exception)
         self._bar.live.stop()
+
+    def say(self, notices: Notices) -> None:
+        """Print the notices that are new, above the bar."""
+        for line in notices.fresh():
+            self._bar.console.print(f"melp-warp: notice: {line}", markup=False, highlight=False, soft_wrap=True)
 
     def advance(self, simulation: Simulation, diagnostics: Mapping, seconds: float) -> None:
         """A frame is done, which took `seconds` of wall time."""
@@ -280,13 +291,20 @@ def _kept(folder: Path) -> str:
     return f"{folder} holds {len(frames)} frame{'s' if len(frames) > 1 else ''}, {frames[0]} to {frames[-1]}"
 
 
-def _say_finished(folder: Path, images: list[Path]) -> None:
+def _noticed(simulation: Simulation | None) -> str:
+    """The notices of a run that did not end, as the end of a line."""
+    return f"; noticed: {simulation.notices.summary()}" if simulation and simulation.notices else ""
+
+
+def _say_finished(folder: Path, images: list[Path], notices: Notices) -> None:
     from melp_warp.usd import ROOT
 
     print(f"{_kept(folder)}: {folder / ROOT}")
     for image in images:
         print(f"drawn: {image}")
     print(f"Open the .usda in usdview, Houdini or Omniverse, or draw a frame: melp-warp preview {folder}")
+    if notices:
+        print(f"Noticed: {notices.summary()}")
 
 
 def draw_frame(folder: Path, frame: int | None, out: Path | None, size: int, device: str = "cpu") -> Path:

@@ -18,6 +18,7 @@ from melp_warp.interrupt import let_through
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.launch import launch
+from melp_warp.notices import Notices
 from melp_warp.sampling import FAR, make_film, resume
 from melp_warp.scene import MOST_STEPS, Scene
 from melp_warp.single_layer import make_stepper
@@ -74,6 +75,7 @@ class Simulation:
 
     Attributes:
         has_l: whether there are Lagrangian particles.
+        notices: what whoever uses the results must know of them.
         spilled: liquid that left with films that popped, kg.
         origin: [3] float64, m: where `particles` measures from, the same for the whole run.
         watched: whether every step is checked at once, which a GPU would have to be waited for; else between frames.
@@ -104,6 +106,8 @@ class Simulation:
         self._adopt(self.film, self.stepper)
         self._wave_speed = self._fastest_wave()
         self.events = Events(scene.shape) if self.film.features.foam else None
+        self.notices = Notices()
+        self._remark()
 
     def _adopt(self, film: Film, stepper: Stepper) -> None:
         """Go on with this film and stepper."""
@@ -156,11 +160,18 @@ class Simulation:
         self.state.frame += 1
         self.state.time = end
         self._cap *= 2.0
+        self._remark()
         self._recentre()
         self._snapshot.save(self.state)
 
+    def _remark(self) -> None:
+        """Note what must be known of the frame that is done (reads back)."""
+        self.stepper.remark(self.notices)
+        self.notices.end(self.frame)
+
     def _advance_to(self, end: float, watched: bool) -> None:
         """Take steps until `end` (s), each checked at once if it is `watched`."""
+        self.notices.begin()
         self._change_regions()
         self._substeps = 0
         for stage in STAGES:
@@ -264,6 +275,7 @@ class Simulation:
         while self.events is not None and (change := self.events.due(self)) is not None:
             stored = Stored(self.state.numpy(), dict(self._ids), list(self.film.labels), self.spilled)
             change(stored)
+            self.stepper.remark(self.notices)
             self._ids, self.spilled = stored.ids, stored.spilled
             self._adopt(*self._resumed(stored.arrays, tuple(stored.labels)))
 
@@ -369,6 +381,7 @@ class Simulation:
             "thickness_std": math.sqrt(max(sums[11] / sums[10] - (sums[9] / sums[10]) ** 2, 0.0)) * 1e9,
             "e_spread": float(stepper.redistribution.spread.numpy()[:, 0].max()) if stepper.redistribution else 0.0,
             "lost": len(stepper.lists.strays),
+            "notices": dict(self.notices.of_frame),
             "wall_ms": {name: 1e3 * seconds for name, seconds in stepper.wall.items() if seconds > 0.0},
         }
         return {k: float(v) if isinstance(v, np.floating) else v for k, v in result.items()}

@@ -19,6 +19,7 @@ from melp_warp.kernels import transfer as kt
 from melp_warp.launch import Recorded, launch
 from melp_warp.membrane import Membrane
 from melp_warp.neighbors import NeighborLists
+from melp_warp.notices import Notices
 from melp_warp.rim import Rim
 from melp_warp.settings import Setting
 from melp_warp.state import State
@@ -239,3 +240,10 @@ class Stepper:
         self.lists.check()
         if self.film.features.foam:
             self.membrane.check()
+
+    def remark(self, notices: Notices) -> None:
+        """Have the stages note what must be known of the steps since this was last asked (reads back)."""
+        stages = (self.rim, self.transfer, self.membrane, self.tangential, self.redistribution, self.l_advance)
+        for stage in stages:
+            if hasattr(stage, "remark"):
+                stage.remark(notices)

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from melp_warp import cli, runner
 from melp_warp.check import check_cache
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.frame import ParticleFrame
+from melp_warp.notices import Notices
 from melp_warp.usd import list_frames, read_frame, read_metadata
 
 FEW = ["--set", "e_count=60", "l_per_e=2"]
@@ -24,11 +26,14 @@ class StandIn:
     """The solver's interface; particles stay where the shape puts them."""
 
     fail_at = interrupt_at = None
+    doubts = types.MappingProxyType({})  # frame -> value of the notice "the rim leaks"
 
     def __init__(self, scene, device="cpu"):
         if device != "cpu":
             raise InputError(f"--device must be one of cpu, got {device!r}")
         self.scene, self.frame, self.has_l = scene, 0, scene.l_per_e > 0
+        self.notices = Notices()
+        self.notices.end(0)
 
     @property
     def time(self):
@@ -40,6 +45,11 @@ class StandIn:
         if self.frame + 1 == self.interrupt_at:
             raise KeyboardInterrupt
         self.frame += 1
+        self.notices.begin()
+        if self.frame in self.doubts:
+            value = self.doubts[self.frame]
+            self.notices.note("the rim leaks", value, f"{value} kg/s, none is right")
+        self.notices.end(self.frame)
 
     def particles(self, which):
         samples = self.scene.shape.sample(self.scene.e_count * (self.scene.l_per_e if which == "l" else 1))
@@ -56,7 +66,8 @@ class StandIn:
         )
 
     def diagnostics(self):
-        return {"time": self.time, "dt": 0.01, "substeps": 2, "volume": float("nan"), "momentum": np.zeros(3)}
+        result = {"time": self.time, "dt": 0.01, "substeps": 2, "volume": float("nan"), "momentum": np.zeros(3)}
+        return {**result, "notices": dict(self.notices.of_frame)}
 
     def save_checkpoint(self, path):
         np.savez(path, frame=self.frame)
@@ -317,6 +328,46 @@ def test_a_failing_step_keeps_the_last_good_frame(tmp_path, solver, capsys):
     assert check_cache(out) == []
     with np.load(out / "checkpoint.npz") as checkpoint:
         assert checkpoint["frame"] == 2
+
+
+def test_a_notice_is_said_once_logged_and_repeated(tmp_path, solver, capsys):
+    solver.doubts = {2: 0.5, 3: 0.75, 5: 0.25}
+    out = tmp_path / "cache"
+    assert run("equilibrium", "--frames", 5, "--out", out, *FEW) == 0
+    said = capsys.readouterr()
+    assert said.err.count("melp-warp: notice: the rim leaks, frame 2: 0.5 kg/s, none is right") == 1
+    assert said.err.count("notice:") == 1
+    last = said.out.splitlines()[-1]
+    assert last == "Noticed: the rim leaks in 3 of 6 frames, first in 2, worst in 3 (0.75)"
+    logged = [json.loads(line)["notices"] for line in (out / "run.jsonl").read_text().splitlines()]
+    assert logged == [{}, {}, {"the rim leaks": 0.5}, {"the rim leaks": 0.75}, {}, {"the rim leaks": 0.25}]
+
+
+@pytest.mark.parametrize("doubts, code", [({}, 0), ({3: 1.0}, 1)])
+def test_strict_fails_where_there_are_notices(doubts, code, tmp_path, solver, capfd):
+    solver.doubts = doubts
+    assert run("equilibrium", "--frames", 4, "--quiet", "--strict", "--out", tmp_path / "cache", *FEW) == code
+    assert capfd.readouterr() == ("", "")
+    assert list_frames(tmp_path / "cache") == [0, 1, 2, 3, 4]
+
+
+def test_an_error_repeats_the_notices(tmp_path, solver, capsys):
+    solver.doubts, solver.fail_at = {1: 2.0}, 3
+    assert run("equilibrium", "--frames", 9, "--quiet", "--out", tmp_path / "cache", *FEW) == 1
+    one_line(capsys, "E particle 17", "noticed: the rim leaks in 1 of 3 frames")
+
+
+def test_notices_keep_the_worst_of_a_frame_and_forget_one_done_again():
+    notices = Notices()
+    notices.note("late", 1.0, "1 s")
+    notices.begin()
+    notices.note("deep", 2.0, "2 m")
+    notices.note("deep", 3.0, "3 m")
+    notices.note("deep", 1.0, "1 m")
+    notices.end(4)
+    assert notices.of_frame == {"deep": 3.0}
+    assert notices.fresh() == ["deep, frame 4: 3 m"] and notices.fresh() == []
+    assert notices.summary() == "deep in 1 of 1 frames, first in 4, worst in 4 (3)"
 
 
 def test_a_failing_step_on_a_full_disk(tmp_path, solver, monkeypatch, capsys):
