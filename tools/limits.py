@@ -30,9 +30,10 @@ MEANING = {
 NOTES = """\
 ## What is behind the rows
 
-* **Pressure** is that of Young and Laplace, 4 sigma/R, which 600 E meet to 2.4 % and 20,000 to 0.1 %. **Roundness** is
-  the largest less the smallest distance of the E from their middle, relative. **Gas law** is p V = n R T. Bounds: 3 %,
-  1 %, 1e-3; mass and surfactant 1e-5; ways 0.5 %; frequencies 2 %; volumes of foams 1e-3; energy may grow by 1 %.
+* **Pressure** is that of Young and Laplace, 4 sigma/R. A resting bubble meets it to 1e-5 with any number of E; one that
+  wobbles (`giant_bubble`) is compared with the sphere of its mean radius, which says less. **Roundness** is the largest
+  less the smallest distance of the E from their middle, relative. **Gas law** is p V = n R T. Bounds: 3 %, 1 %, 1e-3;
+  mass and surfactant 1e-5; ways 0.5 %; frequencies 2 %; volumes of foams 1e-3; energy may grow by 1 %.
 * **A frame that leaps is done again.** Where a particle moves more than 0.3 of the film's radius in a step, relative to
   the film as a whole, the frame is done again in steps that are at most half as long, and neighbour lists that overflow
   get twice the room. The run stops where that would ask for steps in which the fastest wave crosses less than 0.3

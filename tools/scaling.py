@@ -72,13 +72,13 @@ def series(name: str, key: str, scenes: Sequence[Callable[[], Scene]], device: s
     }
 
 
-def cores(bench: Path, case: str, steps: int) -> list[dict]:
+def cores(bench: Path, case: str, frames: int) -> list[dict]:
     """A case with 1, 2, 4, ... threads, a process each: step, ms."""
     made, threads = [], 1
     while threads <= (os.cpu_count() or 1):
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "run.json"
-            command = [sys.executable, str(bench), "--case", case, "--steps", str(steps), "--only", "cases"]
+            command = [sys.executable, str(bench), "--case", case, "--frames", str(frames), "--only", "cases"]
             environment = os.environ | {"MELP_WARP_THREADS": str(threads)}
             subprocess.run([*command, "--json", str(out)], env=environment, check=True, stdout=subprocess.DEVNULL)
             made.append({"threads": threads, "step_ms": json.loads(out.read_text())["results"][0]["step_ms"]})
