@@ -181,7 +181,7 @@ Measure = Callable[[Run], Error]
 
 
 def pressure(run: Run) -> Error:
-    """Gauge pressure against Young-Laplace at the mean radius: exact for a resting bubble, rough for one that wobbles."""
+    """Gauge pressure against Young-Laplace at the mean radius: rough for a bubble that wobbles."""
     exact = 4.0 * run.scene.material.film_tension / run.radii().mean()
     return Error("pressure", abs(run.simulation.diagnostics()["pressure"] / exact - 1.0), 0.03)
 
