@@ -1,9 +1,9 @@
 """README.md and docs/*.md: every command and every Python block runs as it stands, shortened by frames and size only.
 
 Commands and blocks are read from the pages, so that a new one is covered as soon as it is written. A command is a line
-of a code block, or a code span, that starts with a program; a code span that starts with `--` belongs to the command or to
-the scene named before it in its paragraph or table row. By default every command line is read and its scene built at
-full size, and the README's are run short; all others are run short by `pytest -m slow`.
+of a code block, or a code span, that starts with a program. A code span that starts with `--` belongs to the command or
+to the scene named before it in its paragraph or table row. By default every command line is read and its scene built
+at full size, and the README's are run short; all others are run short by `pytest -m slow`.
 """
 
 import argparse
