@@ -14,7 +14,6 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import warp as wp
@@ -22,6 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from melp_warp import optics
 from melp_warp.errors import require
+from melp_warp.files import replacing
 from melp_warp.frame import ParticleFrame
 from melp_warp.kernels import render as kernels
 from melp_warp.launch import launch
@@ -488,13 +488,8 @@ def save_png(image: np.ndarray, path: str | os.PathLike) -> None:
         OSError: the file cannot be written.
     """
     image = _checked_image(image)
-    path = Path(path)
-    temporary = path.with_name(f"{path.name}.tmp")
-    try:
+    with replacing(path) as temporary:
         Image.fromarray(image).save(temporary, format="PNG")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _checked_image(image: object) -> np.ndarray:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import os
 import time
-from pathlib import Path
 
 import numpy as np
 import warp as wp
 
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
 from melp_warp.events import Events
+from melp_warp.files import load_arrays, save_arrays
 from melp_warp.film import Film
 from melp_warp.frame import ParticleFrame
 from melp_warp.interrupt import let_through
@@ -24,6 +24,7 @@ from melp_warp.scene import MOST_STEPS, Scene
 from melp_warp.single_layer import make_stepper
 from melp_warp.state import GAS_SLOTS, Snapshot
 from melp_warp.stepper import STAGES, Stepper
+from melp_warp.stored import check_stored, kinds_of
 from melp_warp.surgery import Stored
 
 LEAP = 0.3
@@ -438,13 +439,7 @@ class Simulation:
         The run goes on from what was written, lists and first guesses made anew: a run that loads the file goes on the
         same, bit for bit on the CPU.
         """
-        path = Path(path)
-        temporary = path.with_name(path.name + ".tmp")
-        with open(temporary, "wb") as file:
-            np.savez(file, **self.state.numpy(), **self._foam_record())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        save_arrays(path, {**self.state.numpy(), **self._foam_record()})
         self.renew()
 
     def _foam_record(self) -> dict[str, np.ndarray]:
@@ -458,12 +453,7 @@ class Simulation:
             "spilled": np.array(self.spilled),
         }
 
-    def _load_foam(self, path: str | os.PathLike, stored: dict[str, np.ndarray]) -> None:
-        names = [*self.state.numpy(), *self._foam_record()]
-        missing = [name for name in names if name not in stored]
-        if missing or max(stored["labels"]) >= len(self.scene.shape.bubbles):
-            lacking = ", ".join(missing) or "region of this scene"
-            raise InputError(f"checkpoint {path} must be of this scene, it has no {lacking}")
+    def _load_foam(self, stored: dict[str, np.ndarray]) -> None:
         self._ids = {kind: stored[f"ids.{kind}"] for kind in "el"}
         self.spilled = float(stored["spilled"])
         self.events = Events(self.scene.shape)
@@ -484,20 +474,20 @@ class Simulation:
         self._renew()
 
     def load_checkpoint(self, path: str | os.PathLike) -> None:
-        """Go on from a checkpoint of the same scene.
+        """Go on from a checkpoint of the same scene. The file may be anybody's: it is checked before anything changes.
 
         Raises:
-            InputError: the file does not fit the scene.
+            InputError: the file cannot be read, or holds what no run of this scene can have left.
         """
+        like = {**self.state.numpy(), **self._foam_record()}
+        stored = load_arrays(path, kinds_of(like))
+        cluster = self.scene.shape if self.film.features.foam else None
+        late = Events(cluster).unborn if cluster else []
         try:
-            with np.load(path) as file:
-                stored = dict(file)
-        except (OSError, ValueError) as error:
-            raise InputError(f"checkpoint {path} cannot be read: {error}") from None
-        if self.film.features.foam:
-            self._load_foam(path, stored)
-            return
-        for name, array in self.state.numpy().items():
-            if name not in stored or stored[name].shape != array.shape:
-                raise InputError(f"checkpoint {path}: {name} must have shape {array.shape} for this scene")
-        self._take(stored)
+            check_stored(stored, like, self.scene.fps, len(cluster.bubbles) if cluster else None, late)
+        except InputError as error:
+            raise InputError(f"checkpoint {path} does not fit: {error}") from None
+        if cluster:
+            self._load_foam(stored)
+        else:
+            self._take(stored)

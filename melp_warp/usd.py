@@ -11,7 +11,6 @@ the time code divided by the frame rate. The cache is complete and valid after e
 
 from __future__ import annotations
 
-import contextlib
 import importlib.metadata
 import os
 import re
@@ -23,6 +22,7 @@ import numpy as np
 
 import melp_warp
 from melp_warp.errors import InputError, SimulationError, require
+from melp_warp.files import replacing
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import DISPLAY_GAIN, WATER_INDEX, display_color
 
@@ -166,14 +166,6 @@ def _claim(directory: Path) -> None:
 # --- layers --------------------------------------------------------------------------------------------------------
 
 
-def _sync(path: Path, flags: int) -> None:
-    handle = os.open(path, flags)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def _reason(error: Exception) -> str:
     """The cause of a failed write in a few words; pxr reports it within a block of source locations."""
     if isinstance(error, OSError):
@@ -186,20 +178,12 @@ def _export(layer, path: Path) -> None:
     """Write `layer` to `path` such that there is never a part of a file under that name."""
     from pxr import Tf
 
-    # The dot in front keeps a leftover out of the file pattern of the clips, film.*.usdc.
-    partial = path.with_name(f".{path.stem}.tmp{path.suffix}")
     try:
-        if not layer.Export(str(partial)):
-            raise OSError(f"USD did not write {partial.name}")
-        _sync(partial, os.O_RDWR)
-        os.replace(partial, path)
-        with contextlib.suppress(OSError):  # not every system can sync a folder
-            _sync(path.parent, os.O_RDONLY)
+        with replacing(path) as partial:
+            if not layer.Export(str(partial)):
+                raise OSError(f"USD did not write {partial.name}")
     except (OSError, Tf.ErrorException) as error:
         raise InputError(f"cannot write {path}: {_reason(error)}; files written before are complete") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def open_layer(path: Path):

@@ -9,6 +9,7 @@ at full size, and the README's are run short; all others are run short by `pytes
 import argparse
 import importlib.util
 import json
+import math
 import os
 import re
 import shlex
@@ -283,10 +284,11 @@ def shortened(arguments):
         return [*("1" if i in frames else word for i, word in enumerate(arguments)), "--size", "32"]
     if arguments[0] != "run":
         return arguments
-    keys = load_scene(arguments[1]).parameters.defaults
-    sizes = {"e_count": 400 if "border" in keys else 150, "l_per_e": min(2, keys["l_per_e"])}
-    if "bubbles" in keys and arguments[1] == "cluster":
-        sizes["e_count"] = 900
+    script = load_scene(arguments[1])
+    values = script.parameters.values(script.parameters.parse(w for w in arguments if re.match(r"\w+=", w)))
+    sizes = {"e_count": 150, "l_per_e": min(2, values.l_per_e)}
+    if "border" in script.parameters.defaults:
+        sizes["e_count"] = math.ceil(1.1 * script.build(values).shape.fewest_e(values.support))
     given = [re.sub(r"^(e_count|l_per_e)=.*", lambda m: f"{m[1]}={sizes.pop(m[1])}", word) for word in arguments]
     return [*given, "--frames", "2", "--set", *(f"{key}={value}" for key, value in sizes.items())]
 
