@@ -198,21 +198,6 @@ def pull_foam_e(
 
 
 @wp.kernel
-def kick_foam_e(
-    normal: wp.array(dtype=wp.vec3),
-    region: wp.array(dtype=wp.int32),
-    fall: wp.array(dtype=wp.vec3),
-    dt: wp.array(dtype=float),
-    # outputs
-    u: wp.array(dtype=wp.vec3),
-):
-    """Outside forces give each region a velocity dt `fall` before the solve, whose stiffness would resist. [n_e]."""
-    i = wp.tid()
-    n = normal[i]
-    u[i] = u[i] + dt[0] * wp.dot(fall[region[i]], n) * n
-
-
-@wp.kernel
 def load_foam_e(
     normal: wp.array(dtype=wp.vec3),
     vector: wp.array(dtype=wp.vec3),
@@ -220,8 +205,9 @@ def load_foam_e(
     mass: wp.array(dtype=float),
     body: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
-    fall: wp.array(dtype=wp.vec3),
+    balance: wp.array(dtype=wp.vec3),
     missing: wp.array(dtype=wp.vec3),
+    drift: wp.array(dtype=wp.vec3),
     added: wp.array(dtype=float),
     damping: float,
     u: wp.array(dtype=wp.vec3),
@@ -233,6 +219,7 @@ def load_foam_e(
     inertia: wp.array(dtype=float),
     outer: wp.array(dtype=float),
     sweep: wp.array(dtype=float),
+    carried: wp.array(dtype=wp.vec3),
 ):
     """Right-hand side and inertia of the solve.
 
@@ -243,10 +230,12 @@ def load_foam_e(
         mass: [n_e] kg.
         body: [n_e] acceleration by outside forces, m/s^2.
         region: [n] region of each E.
-        fall: [regions] acceleration that outside forces have given already, m/s^2.
+        balance: [regions] acceleration with which the normal loads of outside forces have no sum, m/s^2: what they do
+            to the region as a whole is done already.
         missing: [regions] acceleration by the force that the loads leave out, m/s^2.
+        drift: [regions] velocity of the region's cluster as a whole, m/s.
         added: [regions] mass of the air that moves along, kg/m^2.
-        damping: rate at which the air takes up normal motion, 1/s.
+        damping: rate at which the air takes up normal motion against `drift`, 1/s.
         u: [n] m/s.
         load: [n_e] from `gather_load_e`, N.
         dt: [1] s.
@@ -255,17 +244,19 @@ def load_foam_e(
         inertia: [n_e] mass with the air's and what damping adds, kg.
         outer: [n_e] the load's part from outside the foam, kg m/s.
         sweep: [n_e] dt N.n, volume swept per normal speed, m^2 s.
+        carried: [n_e] momentum of the region as a whole per normal speed, m n, kg.
     """
     i = wp.tid()
     n = normal[i]
     g = region[i]
     m = mass[i] + added[g] * area[i]
     slow = dt[0] * damping * m
-    outer[i] = dt[0] * (mass[i] * wp.dot(body[i], n) - m * wp.dot(fall[g], n)) - slow * wp.dot(u[i], n)
+    outer[i] = dt[0] * (mass[i] * wp.dot(body[i], n) - m * wp.dot(balance[g], n)) - slow * wp.dot(u[i] - drift[g], n)
     b[i] = outer[i] + dt[0] * (load[i] + m * wp.dot(missing[g], n))
     inertia[i] = m + slow
     diag[i] = diag[i] + inertia[i]
     sweep[i] = dt[0] * wp.dot(vector[i], n)
+    carried[i] = m * n
 
 
 @wp.kernel
@@ -276,13 +267,28 @@ def apply_foam_e(
     recoil: wp.array(dtype=wp.vec3),
     # outputs
     u: wp.array(dtype=wp.vec3),
-    u_mid: wp.array(dtype=float),
 ):
-    """Add the change of normal speed and the region's recoil; E move with the speed at the end of the step. [n_e]."""
+    """Add the change of normal speed and the region's recoil. [n_e]."""
     i = wp.tid()
     n = normal[i]
     u[i] = u[i] + (change[i] + wp.dot(recoil[region[i]], n)) * n
-    u_mid[i] = wp.dot(u[i], n)
+
+
+@wp.kernel
+def move_foam_e(
+    u: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    motion: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    # outputs
+    u_mid: wp.array(dtype=float),
+):
+    """E move with the speed at the end of the step, and as `frame` has it as a whole. [n_e], m/s."""
+    i = wp.tid()
+    n = normal[i]
+    g = region[i]
+    u_mid[i] = wp.dot(u[i] - motion[g] + frame[g], n)
 
 
 @wp.kernel

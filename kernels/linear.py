@@ -559,9 +559,59 @@ def add_gas_e(
     # outputs
     y: wp.array(dtype=float),
 ):
-    """y += sweep_i weight of the region: the gas's part of A x, stiff s s^T x. [n]."""
+    """y += sweep_i weight of the region. [n]."""
     i = wp.tid()
     y[i] = y[i] + sweep[i] * weight[region[i]]
+
+
+@wp.kernel
+def region_moment_chunks(
+    sweep: wp.array(dtype=float),
+    carried: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    partial: wp.array(dtype=wp.vec4),
+):
+    """Parts of each region's sums of s_i x_i and of p_i x_i: the volume it sweeps and its momentum."""
+    c = wp.tid()
+    start, stop = part_range(c, first, partial.shape[0])
+    volume = float(0.0)
+    momentum = wp.vec3()
+    for i in range(start, stop):
+        volume += sweep[i] * x[i]
+        momentum += carried[i] * x[i]
+    partial[c] = wp.vec4(volume, momentum[0], momentum[1], momentum[2])
+
+
+@wp.kernel
+def weigh_moments_r(
+    partial: wp.array(dtype=wp.vec4),
+    stiff: wp.array(dtype=float),
+    rigid: wp.array(dtype=wp.mat33),
+    # outputs
+    weight: wp.array(dtype=wp.vec4),
+):
+    """(k s.x, K p.x) of each region. [regions]."""
+    g = wp.tid()
+    total = region_total(partial, g, stiff.shape[0])
+    moved = rigid[g] * wp.vec3(total[1], total[2], total[3])
+    weight[g] = wp.vec4(stiff[g] * total[0], moved[0], moved[1], moved[2])
+
+
+@wp.kernel
+def add_moments_e(
+    weight: wp.array(dtype=wp.vec4),
+    sweep: wp.array(dtype=float),
+    carried: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    # outputs
+    y: wp.array(dtype=float),
+):
+    """y += s_i k s.x + p_i.K p.x: the parts of A x of the gas and of the motion of each region as a whole. [n]."""
+    i = wp.tid()
+    w = weight[region[i]]
+    y[i] = y[i] + sweep[i] * w[0] + wp.dot(carried[i], wp.vec3(w[1], w[2], w[3]))
 
 
 @wp.kernel

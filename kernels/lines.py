@@ -5,7 +5,7 @@ import warp as wp
 from melp_warp.kernels.contact import MENISCUS, Contact
 from melp_warp.kernels.motion import whole_velocity
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range, region_parts, region_total
+from melp_warp.kernels.regions import part_range, part_region, region_parts, region_total
 from melp_warp.kernels.rows import sum_vectors
 from melp_warp.kernels.sph import kernel_w, tangential
 
@@ -171,6 +171,45 @@ def about_walls(spin: wp.vec3, walls: int, contact: Contact) -> wp.vec3:
 
 
 @wp.kernel
+def find_drift_r(
+    motion: wp.array(dtype=wp.vec3),
+    whole: wp.array(dtype=float),
+    fall: wp.array(dtype=wp.vec3),
+    cluster: wp.array(dtype=wp.int32),
+    touch: wp.array(dtype=wp.int32),
+    # outputs
+    drift: wp.array(dtype=wp.vec3),
+    pull: wp.array(dtype=wp.vec3),
+):
+    """Velocity and acceleration of the cluster of each region as a whole, 0 where it touches a wall.
+
+    Args:
+        motion: [regions] m/s.
+        fall: [regions] acceleration by outside forces, m/s^2.
+        whole: [regions] inertia of each region as a whole, kg.
+        cluster: [regions] number of each region's cluster.
+        touch: from `touch_chunks`.
+        drift: [regions] m/s.
+        pull: [regions] m/s^2.
+    """
+    g = wp.tid()
+    regions = drift.shape[0]
+    momentum = wp.vec3()
+    force = wp.vec3()
+    inertia = float(0.0)
+    walls = int(0)
+    for h in range(regions):
+        if cluster[h] == cluster[g]:
+            momentum += whole[h] * motion[h]
+            force += whole[h] * fall[h]
+            inertia += whole[h]
+            walls = walls | walls_of(h, regions, touch)
+    free = wp.where(walls == 0, 1.0 / inertia, 0.0)
+    drift[g] = free * momentum
+    pull[g] = free * force
+
+
+@wp.kernel
 def find_missing_r(
     net: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=wp.mat33),
@@ -228,6 +267,8 @@ def gained_chunks(
     faced: wp.array(dtype=float),
     outer: wp.array(dtype=float),
     inertia: wp.array(dtype=float),
+    carried: wp.array(dtype=wp.vec3),
+    moments: wp.array(dtype=wp.vec4),
     change: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
@@ -244,6 +285,8 @@ def gained_chunks(
         faced: [n_e] share of each E that other regions cover.
         outer: [n_e] loads from outside the foam, kg m/s.
         inertia: [n_e] kg.
+        carried: [n_e] p = m n, kg.
+        moments: [regions] (., X W^2 sum p u): what the inertia of the region as a whole adds is p.X W^2 sum p u.
         change: [n_e] change of the normal speed, m/s.
         first: [regions + 1] first E of each region.
         gained: parts of the momentum, kg m/s, and of the area that others cover, m^2.
@@ -257,8 +300,10 @@ def gained_chunks(
     place = wp.vec3()
     touched = float(0.0)
     size = float(0.0)
+    own = moments[part_region(c, first, gained.shape[0])]
+    moved = wp.vec3(own[1], own[2], own[3])
     for i in range(start, stop):
-        lost = (outer[i] - inertia[i] * change[i]) * normal[i]
+        lost = (outer[i] - inertia[i] * change[i] - wp.dot(carried[i], moved)) * normal[i]
         total += lost
         moment += wp.cross(x[i], lost)
         place += area[i] * x[i]
@@ -313,7 +358,7 @@ def pay_debt_r(
     spin: wp.array(dtype=wp.vec3),
     place: wp.array(dtype=wp.vec3),
     cluster: wp.array(dtype=wp.int32),
-    mass: wp.array(dtype=wp.mat33),
+    whole: wp.array(dtype=float),
     touch: wp.array(dtype=wp.int32),
     contact: Contact,
     share: wp.array(dtype=float),
@@ -330,7 +375,7 @@ def pay_debt_r(
         spin: [regions] the same.
         place: [regions] the same.
         cluster: [regions] number of each region's cluster.
-        mass: parts of the inertia, kg.
+        whole: [regions] inertia of each region as a whole, kg.
         touch: from `touch_chunks`.
         contact: constants.
         share: [1] how much of the debt is paid in a step.
@@ -366,4 +411,4 @@ def pay_debt_r(
         if size > 0.0:
             turn = wp.inverse((1.0 + ROUND) * wp.identity(3, float) - second / size) * around / size
         net = share[0] * own[3] * (momentum / covered - wp.cross(turn, middle))
-    recoil[g] = whole_velocity(region_total(mass, g, regions), along_walls(net, walls, contact))
+    recoil[g] = along_walls(net, walls, contact) / whole[g]

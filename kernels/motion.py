@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from melp_warp.kernels.gas import VOLUME
 from melp_warp.kernels.regions import part_range, part_region, region_total
 from melp_warp.kernels.sph import tangential
 
@@ -78,6 +79,64 @@ def solve_motion_r(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec
 
 
 @wp.kernel
+def weight_chunks(
+    mass: wp.array(dtype=float),
+    body: wp.array(dtype=wp.vec3),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    weight: wp.array(dtype=wp.vec4),
+):
+    """Parts of each region's weight sum m body, N, and of its mass, kg."""
+    c = wp.tid()
+    start, stop = part_range(c, first, weight.shape[0])
+    total = wp.vec4()
+    for i in range(start, stop):
+        m = mass[i]
+        b = m * body[i]
+        total += wp.vec4(b[0], b[1], b[2], m)
+    weight[c] = total
+
+
+@wp.kernel
+def carry_motion_r(
+    weight: wp.array(dtype=wp.vec4),
+    inertia: wp.array(dtype=wp.mat33),
+    gas: wp.array2d(dtype=wp.float64),
+    density: float,
+    # outputs
+    whole: wp.array(dtype=float),
+    rigid: wp.array(dtype=wp.mat33),
+    fall: wp.array(dtype=wp.vec3),
+):
+    """Inertia of each region as a whole: its liquid M, all of the air inside and half its volume of air outside.
+
+    Normal motion alone has sum m n n of it, with the air of mode 2. What lacks, X, acts on the translation
+    U = W sum m u_n n, W = (sum m n n)^-1, and so enters the matrix as p_i.X W^2 p_j with p = m n. Liquid hangs on its
+    film, so the whole weight moves it.
+
+    Args:
+        weight: from `weight_chunks`.
+        inertia: parts of sum m n n, m with the air's share, kg.
+        gas: gas slots.
+        density: of the air that moves along, kg/m^3.
+        whole: [regions] M + 3/2 rho_air V, kg.
+        rigid: [regions] X W^2, 1/kg.
+        fall: [regions] acceleration by outside forces, m/s^2.
+    """
+    g = wp.tid()
+    regions = whole.shape[0]
+    own = region_total(weight, g, regions)
+    normal = region_total(inertia, g, regions)
+    third = wp.trace(normal) / 3.0
+    size = own[3] + 1.5 * density * float(gas[g, VOLUME])
+    lack = wp.max(size - third, 0.0)
+    scaled = wp.inverse(normal / third)
+    whole[g] = third + lack
+    rigid[g] = (lack / (third * third)) * (scaled * scaled)
+    fall[g] = wp.vec3(own[0], own[1], own[2]) / whole[g]
+
+
+@wp.kernel
 def hold_motion_e(
     normal: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
@@ -98,6 +157,34 @@ def hold_motion_e(
 
 
 @wp.kernel
+def push_whole_e(
+    normal: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    push: wp.array(dtype=wp.vec3),
+    share: wp.array(dtype=float),
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+):
+    """Add share[0] times a translation `push` of each region to the normal velocity. [n_e], m/s."""
+    i = wp.tid()
+    n = normal[i]
+    u[i] = u[i] + share[0] * wp.dot(push[region[i]], n) * n
+
+
+@wp.kernel
+def push_whole_speed_e(
+    normal: wp.array(dtype=wp.vec3),
+    push: wp.array(dtype=wp.vec3),
+    share: wp.array(dtype=float),
+    # outputs
+    speed: wp.array(dtype=float),
+):
+    """Add share[0] times a translation push[0] to a normal speed. [n_e], m/s."""
+    i = wp.tid()
+    speed[i] = speed[i] + share[0] * wp.dot(push[0], normal[i])
+
+
+@wp.kernel
 def blend_motion(
     start: wp.array(dtype=wp.vec3),
     motion: wp.array(dtype=wp.vec3),
@@ -108,6 +195,31 @@ def blend_motion(
     """Velocity of each region as a whole after the share theta[0] of a step, between start and end. [regions], m/s."""
     k = wp.tid()
     between[k] = start[k] + theta[0] * (motion[k] - start[k])
+
+
+@wp.kernel
+def frame_motion_r(
+    motion: wp.array(dtype=wp.vec3),
+    pull: wp.array(dtype=wp.vec3),
+    kick: wp.array(dtype=wp.vec3),
+    dt: wp.array(dtype=float),
+    # outputs
+    frame: wp.array(dtype=wp.vec3),
+):
+    """Mean velocity of each region as a whole in a step that began and ended without contact. [regions], m/s.
+
+    Args:
+        motion: [regions] that at its end, m/s.
+        pull: [regions] acceleration of the region's cluster by outside forces, m/s^2.
+        kick: [regions] change by the drag, m/s; null without.
+        dt: [1] s.
+        frame: m/s.
+    """
+    g = wp.tid()
+    change = dt[0] * pull[g]
+    if kick:
+        change += kick[g]
+    frame[g] = motion[g] - 0.5 * change
 
 
 @wp.kernel

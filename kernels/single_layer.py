@@ -117,6 +117,8 @@ def push_e(
     symmetric: int,
     viscosity: float,
     drag: float,
+    region: wp.array(dtype=wp.int32),
+    wind: wp.array(dtype=wp.vec3),
     dt: wp.array(dtype=float),
     # outputs
     pushed: wp.array(dtype=wp.vec3),
@@ -148,6 +150,8 @@ def push_e(
         symmetric: 1 for pairs, 0 for differences.
         viscosity: nu, m^2/s.
         drag: traction per speed, Pa s/m, taken implicitly.
+        region: [n] region of each E.
+        wind: [regions] velocity of the air along the film, m/s; null for air at rest.
         dt: [1] s.
         pushed: [n_e] m/s.
         traction: [n_e] Marangoni force per area, Pa; null where nobody asks.
@@ -188,6 +192,8 @@ def push_e(
     v = u[i]
     un = wp.dot(v, n)
     change = body[i] + (viscosity / eta[i]) * shear + force / m
+    if wind:
+        change += (drag / m) * wind[region[i]]
     pushed[i] = tangential(v + dt[0] * change, n) / (1.0 + dt[0] * drag / m) + un * n
 
 

@@ -215,6 +215,8 @@ def accelerate_tangential_e(
     stiffness: float,
     body: wp.array(dtype=wp.vec3),
     drag: float,
+    region: wp.array(dtype=wp.int32),
+    wind: wp.array(dtype=wp.vec3),
     density: float,
     dt: wp.array(dtype=float),
     # outputs
@@ -236,6 +238,8 @@ def accelerate_tangential_e(
         stiffness: 2 R T Gamma_0/rho, m^3/s^2.
         body: [n_e] acceleration by outside forces, m/s^2.
         drag: traction per speed, Pa s/m, taken implicitly.
+        region: [n] region of each E.
+        wind: [regions] velocity of the air along the film, m/s; null for air at rest.
         density: kg/m^3.
         dt: [1] s.
         u: [n] m/s.
@@ -258,6 +262,8 @@ def accelerate_tangential_e(
         traction[i] = m * tangential(spread, n)
     v = u[i]
     un = wp.dot(v, n)
+    if wind:
+        fall += (drag / m) * wind[region[i]]
     ut = tangential(v + dt[0] * fall, n) / (1.0 + dt[0] * drag / m)
     u[i] = ut + un * n
 

@@ -21,6 +21,7 @@ class Features:
         viscous: in-plane viscosity.
         recoils: the film is closed and its uneven tension pushes liquid along it, so it moves the other way.
         air: the air's added mass takes part in the normal motion.
+        dragged: the air's drag holds a closed film back as a whole.
         exchanges: L cross between films that touch.
         foam: there are several regions, or walls, to touch.
         single: E are all particles there are, and carry the film along (`SingleLayer`).
@@ -35,6 +36,7 @@ class Features:
     viscous: bool
     recoils: bool
     air: bool
+    dragged: bool
     exchanges: bool
     foam: bool
     single: bool
@@ -48,6 +50,7 @@ class Features:
         single = scene.numerics.layers == 1
         marangoni = (lagrangian or single) and scene.material.surfactant > 0.0
         foam = isinstance(scene.shape, Cluster)
+        air = moving and scene.surroundings.air == "added_mass"
         return cls(
             closed=scene.shape.closed,
             moving=moving,
@@ -60,7 +63,8 @@ class Features:
             foam=foam,
             single=single,
             explicit=single or (scene.numerics.scheme == "explicit" and not foam),
-            air=moving and scene.surroundings.air == "added_mass",
+            air=air,
+            dragged=air and scene.shape.closed and scene.surroundings.air_drag > 0.0,
         )
 
     def kernels(self) -> list[str]:
@@ -74,6 +78,7 @@ class Features:
             "redistribute": self.moving,
             "membrane": self.moving and not self.foam,
             "motion": self.moving,
+            "drag": self.dragged,
             "homes": self.lagrangian,
             "boundary": self.rim,
             "single_layer": self.single,

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.air import film_added_mass
+from melp_warp.drag import AirDrag
 from melp_warp.film import CONTACT_REACH, Film
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
@@ -114,10 +115,11 @@ class FoamMembrane:
         cover: [n_e] 0 on a film of its own, 1 where the sheet is one film with another region's or a wall's.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [regions] velocity of each region as a whole at the start of the step, m/s.
-        frame: that in the step: `State.motion`.
+        frame: that in the step; that of its end is `State.motion`.
         passed: that after the share of the step that `find_motion_at` was asked for.
         wanted: [n_e] length that each row of the matrix has needed at most.
         added: [regions] mass of the air that moves along, kg/m^2.
+        whole: [regions] inertia of each region as a whole, kg.
         bent: [regions] turn of normals that counts as a bend.
     """
 
@@ -133,12 +135,15 @@ class FoamMembrane:
         self.cover, self._faced, self._free = film.zeros(n), film.zeros(n), film.zeros(n)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
-        self.frame = state.motion
-        self.start, self.passed = (film.zeros(film.regions, wp.vec3) for _ in range(2))
+        self.start, self.frame, self.passed = (film.zeros(film.regions, wp.vec3) for _ in range(3))
+        self.drag = AirDrag(film, state) if film.features.dragged else None
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
+        self.whole = film.zeros(film.regions)
         self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
+        self._balance, self._drift, self._pull = (film.zeros(film.regions, wp.vec3) for _ in range(3))
+        self._weight = film.parts(wp.vec4)
         self._owed = film.zeros(film.regions, wp.vec4)
         self._spin, self._place = film.zeros(film.regions, wp.vec3), film.zeros(film.regions, wp.vec3)
         self._alone = wp.array(np.arange(film.regions, dtype=np.int32), device=film.device)
@@ -228,7 +233,8 @@ class FoamMembrane:
         self._find_motion(self._found)
         film.launch_e(ko.hold_motion_e, [e.normal, e.region, self._found, self.state.motion], [e.u])
         self._fall_freely(dt)
-        film.launch_e(kf.predict_foam_e, [e.x, e.u, e.normal, e.region, self.frame, dt], [self.predicted])
+        self._find_clusters()
+        film.launch_e(kf.predict_foam_e, [e.x, e.u, e.normal, e.region, self.state.motion, dt], [self.predicted])
         self.find_contacts(self.predicted)
         self._sweep()
         pressure = film.surroundings.pressure
@@ -237,10 +243,22 @@ class FoamMembrane:
         self._assemble(dt)
         solver.solve()
         self._pay_debt()
-        film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self._recoil], [e.u, self.u_mid])
+        film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self._recoil], [e.u])
         self._find_motion(self.state.motion)
+        self._find_frame(dt)
         self._sweep()
         film.launch_regions(kf.store_gas_r, [self._swept, pressure, dt], [self.state.gas])
+
+    def _find_frame(self, dt: wp.array) -> None:
+        """Let the air hold back what moves, and say how E move in the step."""
+        film, e, motion = self.film, self.state.e, self.state.motion
+        kick = None
+        if self.drag is not None:
+            self.drag.find(self.start, self.whole, self._owed, dt)
+            kick = self.drag.kick
+            film.launch_e(ko.push_whole_e, [e.normal, e.region, kick, self.drag.all], [e.u])
+        film.launch_regions(ko.frame_motion_r, [motion, self._pull, kick, dt], [self.frame])
+        film.launch_e(kf.move_foam_e, [e.u, e.normal, e.region, motion, self.frame], [self.u_mid])
 
     def find_motion_at(self, theta: wp.array) -> None:
         """Set `passed` to the velocity of each region as a whole after the share theta [1] of the step."""
@@ -271,24 +289,32 @@ class FoamMembrane:
     def _fall_freely(self, dt: wp.array) -> None:
         """What outside forces do to each region as a whole."""
         film, e = self.film, self.state.e
+        film.launch_parts(ko.weight_chunks, [e.mass, self.forces.body, film.first], [self._weight])
+        air = film.surroundings.air_density if film.features.air else 0.0
+        film.launch_regions(
+            ko.carry_motion_r,
+            [self._weight, self._inertia, self.state.gas, air],
+            [self.whole, self.response.rigid, self._fall],
+        )
         arrays = [e.normal, e.mass, self.geometry.area, self.forces.body, self._bare, film.first]
         film.launch_parts(ko.momentum_chunks, arrays, [self._solid, self._momentum])
-        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._fall])
-        film.launch_e(kf.kick_foam_e, [e.normal, e.region, self._fall, dt], [e.u])
+        film.launch_regions(ko.solve_motion_r, [self._inertia, self._momentum], [self._balance])
+        film.launch_e(ko.push_whole_e, [e.normal, e.region, self._fall, dt], [e.u])
 
     def _pay_debt(self) -> None:
         """Momentum and angular momentum that the foam gave itself in the solve, back to where they came from."""
-        film, e = self.film, self.state.e
-        arrays = [e.x, e.normal, self.geometry.area, self._faced, self._outer, self._mass, self.response.x, film.first]
+        film, e, solver = self.film, self.state.e, self.response
+        solver.find_moments(solver.x)
+        of_e = [e.x, e.normal, self.geometry.area, self._faced, self._outer, self._mass, solver.carried]
+        arrays = [*of_e, solver.moments, solver.x, film.first]
         parts, debt = [self._gained, self._turned, self._middle], [self._owed, self._spin, self._place]
         film.launch_parts(kl.gained_chunks, arrays, parts)
         film.launch_regions(kl.owe_r, [*parts, self._share.array], debt)
-        self._find_clusters()
         wall = [self._touch, self.contact, self._share.array]
-        film.launch_regions(kl.pay_debt_r, [*debt, self._cluster, self._inertia, *wall], [self._recoil])
+        film.launch_regions(kl.pay_debt_r, [*debt, self._cluster, self.whole, *wall], [self._recoil])
 
     def _find_clusters(self) -> None:
-        """Number of each region's cluster: those that are near each other, and those near them, and so on."""
+        """Number of each region's cluster: those that are near each other, and those near them, and so on; its drift."""
         film = self.film
         film.launch_parts(kr.near_chunks, [self.state.e.region, self.lists.eo.rows, film.first], [self._near])
         before = self._alone
@@ -296,6 +322,9 @@ class FoamMembrane:
             film.launch_regions(kr.join_clusters_r, [self._near, before], [self._joined])
             film.launch_regions(kr.join_clusters_r, [self._near, self._joined], [self._cluster])
             before = self._cluster
+        film.launch_parts(kl.touch_chunks, [self.state.e.x, self.contact, film.first], [self._touch])
+        of_regions = [self.state.motion, self.whole, self._fall, self._cluster, self._touch]
+        film.launch_regions(kl.find_drift_r, of_regions, [self._drift, self._pull])
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
@@ -342,14 +371,13 @@ class FoamMembrane:
         film.launch_parts(
             kl.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum]
         )
-        film.launch_parts(kl.touch_chunks, [e.x, self.contact, film.first], [self._touch])
         arrays = [self._momentum, self._inertia, self._touch, self.contact]
         film.launch_regions(kl.find_missing_r, arrays, [self._missing])
         film.launch_e(
             kf.load_foam_e,
             [
-                *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._fall, self._missing),
-                *(self.added, film.surroundings.damping, e.u, self._load, dt),
+                *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._balance, self._missing),
+                *(self._drift, self.added, film.surroundings.damping, e.u, self._load, dt),
             ],
-            [self.response.b, operator.diag, self._mass, self._outer, self.response.sweep],
+            [self.response.b, operator.diag, self._mass, self._outer, self.response.sweep, self.response.carried],
         )

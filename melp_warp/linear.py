@@ -147,10 +147,12 @@ class ConjugateGradient(_Solver):
 
 
 class GasConjugateGradient(ConjugateGradient):
-    """Conjugate gradients for A + sum_g k_g s_g s_g^T: the gas of each region resists the volume s_g.x it would lose.
+    """Conjugate gradients for A + sum_g (k_g s_g s_g^T + p_g^T K_g p_g).
 
-    Preconditioned with D + sum_g k_g s_g s_g^T, inverted exactly: the gas is far stiffer than the film, and is so out
-    of the way. The gas of regions that touch is solved for together, through A.
+    The gas of each region resists the volume s_g.x it would lose, and the region as a whole, whose momentum changes by
+    p_g.x, has more inertia than its particles. Preconditioned with D + sum_g k_g s_g s_g^T, inverted exactly: the gas
+    is far stiffer than the film, and is so out of the way. The gas of regions that touch is solved for together,
+    through A.
 
     Args:
         region: [n] region of each unknown.
@@ -160,14 +162,21 @@ class GasConjugateGradient(ConjugateGradient):
     Attributes:
         sweep: [n] s, filled by the owner.
         stiff: [regions] k, filled by the owner.
+        carried: [n] p, filled by the owner.
+        rigid: [regions] K, filled by the owner.
+        moments: [regions] (k s.x, K p.x) where `find_moments` was called.
     """
 
     def __init__(self, operator, tolerance, max_iterations, region: wp.array, first: wp.array, parts: int):
         n, device = operator.n, operator.device
         self.region, self.first = region, first
         self.sweep, self.scaled = (wp.zeros(n, dtype=wp.float32, device=device) for _ in range(2))
+        self.carried = wp.zeros(n, dtype=wp.vec3, device=device)
         self.part = wp.zeros(parts, dtype=wp.float32, device=device)
+        self._moment_part = wp.zeros(parts, dtype=wp.vec4, device=device)
         regions = first.shape[0] - 1
+        self.rigid = wp.zeros(regions, dtype=wp.mat33, device=device)
+        self.moments = wp.zeros(regions, dtype=wp.vec4, device=device)
         self.stiff, self.soft, self.weight = (wp.zeros(regions, dtype=wp.float32, device=device) for _ in range(3))
         super().__init__(operator, n, wp.float32, tolerance, max_iterations)
 
@@ -187,9 +196,15 @@ class GasConjugateGradient(ConjugateGradient):
 
     def _apply(self):
         super()._apply()
-        self._region_dot(self.sweep, self.p)
-        self._by_region(k.weigh_gas_r, [self.part, self.stiff], [self.weight])
-        self._launch(k.add_gas_e, [self.weight, self.sweep, self.region], [self.q])
+        self.find_moments(self.p)
+        self._launch(k.add_moments_e, [self.moments, self.sweep, self.carried, self.region], [self.q])
+
+    def find_moments(self, x: wp.array) -> None:
+        """Set `moments` for x."""
+        parts = self._moment_part
+        arrays = [self.sweep, self.carried, x, self.first]
+        self._launch(k.region_moment_chunks, arrays, [parts], dim=parts.shape[0])
+        self._by_region(k.weigh_moments_r, [parts, self.stiff, self.rigid], [self.moments])
 
     def _precondition(self):
         """From D^-1 r to (D + k s s^T)^-1 r."""

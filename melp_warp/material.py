@@ -78,8 +78,12 @@ class Surroundings:
         pressure: atmospheric pressure p_atm, Pa.
         air: "none", or "added_mass" for the inertia of the air that the film moves (normal motion).
         air_density: kg/m^3.
-        drag: traction of the air per tangential film speed, both sides together, Pa s/m.
-        damping: rate at which the air takes up the normal motion of a foam's films, 1/s.
+        air_drag: factor on the quasi-steady drag of a sphere on each closed film as a whole, where `air` is on; 1 as
+            measured, 0 for none.
+        drag: traction of the air per tangential film speed, both sides together, Pa s/m; where `air_drag` is at work,
+            of the speed against the film as a whole.
+        damping: rate at which the air takes up the normal motion of a foam's films against their cluster as a whole,
+            1/s.
         lift: fraction of the film's weight that a lighter gas inside carries; 1 hovers, 0 falls. Closed films only.
     """
 
@@ -87,6 +91,7 @@ class Surroundings:
     pressure: float = 101325.0
     air: str = "none"
     air_density: float = 1.204
+    air_drag: float = 1.0
     drag: float = 0.0
     damping: float = 0.0
     lift: float = 0.0
@@ -96,6 +101,7 @@ class Surroundings:
         require(_finite(self.pressure) and self.pressure >= 0.0, "pressure", self.pressure, "a number of at least 0")
         require(self.air in AIR_MODELS, "air", self.air, f"one of {', '.join(AIR_MODELS)}")
         require(_finite(self.air_density) and self.air_density > 0.0, "air_density", self.air_density, "above 0")
+        require(_finite(self.air_drag) and self.air_drag >= 0.0, "air_drag", self.air_drag, "a number of at least 0")
         require(_finite(self.drag) and self.drag >= 0.0, "drag", self.drag, "a number of at least 0")
         require(_finite(self.damping) and self.damping >= 0.0, "damping", self.damping, "a number of at least 0")
         require(_finite(self.lift), "lift", self.lift, "a number")

@@ -6,9 +6,11 @@ import numpy as np
 import warp as wp
 
 from melp_warp import air
+from melp_warp.drag import AirDrag
 from melp_warp.film import Film
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
+from melp_warp.kernels import drag as kd
 from melp_warp.kernels import gas as kg
 from melp_warp.kernels import membrane as km
 from melp_warp.kernels import motion as ko
@@ -218,6 +220,8 @@ class Membrane:
         self._blur = 0.0 if self.explicit else geometry.blur(film.numerics.curvature)
         self._whole = wp.full(1, self.theta_whole, dtype=wp.float32, device=film.device)
         self._added = wp.full(film.regions, self.added, dtype=wp.float32, device=film.device)
+        self.drag = AirDrag(film, state) if film.features.dragged else None
+        self.whole = film.zeros(1) if film.features.dragged else None
         self.ahead, self._theta, self._recoil = (Setting(film.device) for _ in range(3))
 
     def prepare(self, dt: float) -> None:
@@ -365,6 +369,17 @@ class Membrane:
             [self.kick, self.state.motion],
         )
         film.launch_e(ko.apply_recoil_e, [e.normal, self.kick, theta, self._whole], [e.u, self.u_mid])
+
+    def slow_down(self, theta: wp.array, dt: wp.array) -> None:
+        """Let the air's drag hold back a closed film as a whole, once all else that moves it is known.
+
+        The velocity of E is taken for that after the share theta [1] of the step.
+        """
+        film, e = self.film, self.state.e
+        film.launch_regions(kd.find_inertia_r, [self.inertia], [self.whole])
+        self.drag.find(self.start, self.whole, None, dt)
+        film.launch_e(ko.push_whole_e, [e.normal, e.region, self.drag.kick, theta], [e.u])
+        film.launch_e(ko.push_whole_speed_e, [e.normal, self.drag.kick, self._whole], [self.u_mid])
 
     def find_frame(self) -> None:
         """Set `frame`, once all that moves the film as a whole in this step is known."""

@@ -69,7 +69,7 @@ class SingleLayer(Stepper):
     def __init__(self, film: Film, state: State):
         super().__init__(film, state)
         self.redistribution = None
-        self._whole = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
+        self.wind = state.motion if film.features.dragged else None
         self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
         self._still, self._at_rest = film.zeros(film.n_e), film.zeros(1, wp.vec3)
         self._pushed = film.zeros(film.n_e, wp.vec3)
@@ -102,7 +102,7 @@ class SingleLayer(Stepper):
                 *(e.x, e.u, e.normal, e.surfactant, fields.eta, fields.gamma, fields.beyond, fields.own),
                 *(self.forces.body, rows, film.r, film.n_e, fields.rim_area),
                 *(m.density, m.surfactant, film.stiffness, symmetric, m.viscosity, film.surroundings.drag),
-                self.dt.array,
+                *(e.region, self.wind, self.dt.array),
             ],
             [self._pushed, self.traction],
         )
@@ -122,9 +122,11 @@ class SingleLayer(Stepper):
 
     def _solve_normal(self) -> None:
         self.membrane.start_motion()  # the particles' own momentum says how the film moves as a whole
-        super()._solve_normal()
+        self.membrane.solve(self.dt.array)
         if self.film.features.recoils:
-            self.membrane.recoil(self.traction, self._whole, self.dt.array)
+            self.membrane.recoil(self.traction, self._all, self.dt.array)
+        self._slow_down(self._all)
+        self._guard_e("membrane")
 
     def _advance_e(self) -> None:
         film, e, rows, dt = self.film, self.state.e, self.lists.ee.rows, self.dt.array

@@ -75,6 +75,7 @@ class Stepper:
         # lists within a film move along with it; those between regions do not
         self.at_rest = film.zeros(film.regions, wp.vec3) if f.foam else self.frame
         self.dt = Setting(film.device)
+        self._all = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.steps = 0
         self.whole = film.device.is_cuda
@@ -168,14 +169,22 @@ class Stepper:
 
     def _solve_normal(self) -> None:
         self.membrane.solve(self.dt.array)  # (12), gas
+        if self.tangential is None:
+            self._slow_down(self._all)
         self._guard_e("membrane")
 
     def _solve_tangential(self) -> None:
         self.tangential.solve(self.dt.array)  # (14), (15)
         if self.film.features.recoils:
             self.membrane.recoil(self.tangential.traction, self.tangential.theta, self.dt.array)
+        self._slow_down(self.tangential.theta)
         self.tangential.find_dilation()
         self._guard_e("surfactant")
+
+    def _slow_down(self, theta: wp.array) -> None:
+        """Let the air hold back a film as a whole; foams see to that in their solve."""
+        if self.film.features.dragged and not self.film.features.foam:
+            self.membrane.slow_down(theta, self.dt.array)
 
     def _scatter(self) -> None:
         flow = self.tangential

@@ -67,6 +67,8 @@ class Tangential:
             2 (1 - theta), unless `l_order` is 2.
         dilation: [n_e] div_s u, 1/s: before the solve, then where `find_dilation` was called.
         before: [n] velocity of E at the start of the step, m/s; None where L do not look back at it.
+        wind: [regions] velocity of the air along the film, m/s, where its drag on the film as a whole is told apart: that
+            of the film; None for air at rest.
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where the film does not recoil.
     """
 
@@ -89,6 +91,7 @@ class Tangential:
         self._least, self._most = Setting(film.device), Setting(film.device)
         self._shear, self._shears = film.zeros(film.n_e), film.parts()
         self.before = film.zeros(film.total, wp.vec3) if film.numerics.looks_back else None
+        self.wind = state.motion if film.features.dragged else None
         self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
         numerics = film.numerics
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
@@ -191,6 +194,8 @@ class Tangential:
                 film.stiffness,
                 self.forces.body,
                 film.surroundings.drag,
+                self.state.e.region,
+                self.wind,
                 film.material.density,
                 dt,
             ],
