@@ -208,6 +208,7 @@ def load_foam_e(
     balance: wp.array(dtype=wp.vec3),
     missing: wp.array(dtype=wp.vec3),
     drift: wp.array(dtype=wp.vec3),
+    held: wp.array(dtype=float),
     added: wp.array(dtype=float),
     damping: float,
     u: wp.array(dtype=wp.vec3),
@@ -234,6 +235,8 @@ def load_foam_e(
             to the region as a whole is done already.
         missing: [regions] acceleration by the force that the loads leave out, m/s^2.
         drift: [regions] velocity of the region's cluster as a whole, m/s.
+        held: [regions] 1 where the cluster touches a wall, which takes up what damping takes of its momentum. Elsewhere
+            the cluster keeps it: that damping is a force within the foam.
         added: [regions] mass of the air that moves along, kg/m^2.
         damping: rate at which the air takes up normal motion against `drift`, 1/s.
         u: [n] m/s.
@@ -241,7 +244,7 @@ def load_foam_e(
         dt: [1] s.
         b: [n_e] kg m/s.
         diag: [n_e] contact in, inertia added, kg.
-        inertia: [n_e] mass with the air's and what damping adds, kg.
+        inertia: [n_e] mass with the air's, and what damping from outside adds, kg.
         outer: [n_e] the load's part from outside the foam, kg m/s.
         sweep: [n_e] dt N.n, volume swept per normal speed, m^2 s.
         carried: [n_e] momentum of the region as a whole per normal speed, m n, kg.
@@ -251,10 +254,12 @@ def load_foam_e(
     g = region[i]
     m = mass[i] + added[g] * area[i]
     slow = dt[0] * damping * m
-    outer[i] = dt[0] * (mass[i] * wp.dot(body[i], n) - m * wp.dot(balance[g], n)) - slow * wp.dot(u[i] - drift[g], n)
-    b[i] = outer[i] + dt[0] * (load[i] + m * wp.dot(missing[g], n))
-    inertia[i] = m + slow
-    diag[i] = diag[i] + inertia[i]
+    weight = dt[0] * (mass[i] * wp.dot(body[i], n) - m * wp.dot(balance[g], n))
+    damped = slow * wp.dot(u[i] - drift[g], n)
+    b[i] = weight - damped + dt[0] * (load[i] + m * wp.dot(missing[g], n))
+    diag[i] = diag[i] + m + slow
+    outer[i] = weight - held[g] * damped
+    inertia[i] = m + held[g] * slow
     sweep[i] = dt[0] * wp.dot(vector[i], n)
     carried[i] = m * n
 

@@ -180,6 +180,7 @@ def find_drift_r(
     # outputs
     drift: wp.array(dtype=wp.vec3),
     pull: wp.array(dtype=wp.vec3),
+    held: wp.array(dtype=float),
 ):
     """Velocity and acceleration of the cluster of each region as a whole, 0 where it touches a wall.
 
@@ -191,6 +192,7 @@ def find_drift_r(
         touch: from `touch_chunks`.
         drift: [regions] m/s.
         pull: [regions] m/s^2.
+        held: [regions] 1 where the cluster touches a wall, 0 elsewhere.
     """
     g = wp.tid()
     regions = drift.shape[0]
@@ -204,9 +206,10 @@ def find_drift_r(
             force += whole[h] * fall[h]
             inertia += whole[h]
             walls = walls | walls_of(h, regions, touch)
-    free = wp.where(walls == 0, 1.0 / inertia, 0.0)
-    drift[g] = free * momentum
-    pull[g] = free * force
+    fixed = wp.where(walls == 0, 0.0, 1.0)
+    drift[g] = ((1.0 - fixed) / inertia) * momentum
+    pull[g] = ((1.0 - fixed) / inertia) * force
+    held[g] = fixed
 
 
 @wp.kernel
@@ -286,7 +289,8 @@ def gained_chunks(
         outer: [n_e] loads from outside the foam, kg m/s.
         inertia: [n_e] kg.
         carried: [n_e] p = m n, kg.
-        moments: [regions] (., X W^2 sum p u): what the inertia of the region as a whole adds is p.X W^2 sum p u.
+        moments: [regions] (., K sum p u): what the inertia of the region as a whole adds is p.K sum p u, see
+            `carry_motion_r`.
         change: [n_e] change of the normal speed, m/s.
         first: [regions + 1] first E of each region.
         gained: parts of the momentum, kg m/s, and of the area that others cover, m^2.
@@ -319,7 +323,7 @@ def owe_r(
     gained: wp.array(dtype=wp.vec4),
     turned: wp.array(dtype=wp.vec3),
     middle: wp.array(dtype=wp.vec4),
-    share: wp.array(dtype=float),
+    paid: wp.array(dtype=float),
     # outputs
     owed: wp.array(dtype=wp.vec4),
     spin: wp.array(dtype=wp.vec3),
@@ -334,7 +338,7 @@ def owe_r(
         gained: from `gained_chunks`.
         turned: the same.
         middle: the same.
-        share: [1] how much of what was owed was paid in the last step, where others covered the region; elsewhere all.
+        paid: [1] how much of what was owed was paid in the last step, where others covered the region; elsewhere all.
         owed: momentum before a step's payment, kg m/s, and the area that others cover, m^2; in and out.
         spin: angular momentum about the region's centroid, kg m^2/s; in and out.
         place: centroid of the region's surface, m.
@@ -342,7 +346,7 @@ def owe_r(
     g = wp.tid()
     regions = owed.shape[0]
     old = owed[g]
-    left = wp.where(old[3] > 0.0, 1.0 - share[0], 0.0)
+    left = wp.where(old[3] > 0.0, 1.0 - paid[0], 0.0)
     own = region_total(gained, g, regions)
     size = region_total(middle, g, regions)
     centre = wp.vec3(size[0], size[1], size[2]) / size[3]
@@ -391,7 +395,7 @@ def pay_debt_r(
         around = wp.vec3()
         shift = wp.vec3()
         second = wp.mat33()
-        covered = float(0.0)
+        inertia = float(0.0)
         for h in range(regions):
             other = owed[h]
             if cluster[h] == cluster[g] and other[3] > 0.0:
@@ -399,16 +403,17 @@ def pay_debt_r(
                 lost = wp.vec3(other[0], other[1], other[2])
                 momentum += lost
                 around += spin[h] + wp.cross(d, lost)
-                shift += other[3] * d
-                second += other[3] * wp.outer(d, d)
-                covered += other[3]
+                m = whole[h]
+                shift += m * d
+                second += m * wp.outer(d, d)
+                inertia += m
                 walls = walls | walls_of(h, regions, touch)
-        middle = shift / covered
+        middle = shift / inertia
         second -= wp.outer(shift, middle)
         around = about_walls(around - wp.cross(middle, momentum), walls, contact)
         turn = wp.vec3()
         size = wp.trace(second)
         if size > 0.0:
             turn = wp.inverse((1.0 + ROUND) * wp.identity(3, float) - second / size) * around / size
-        net = share[0] * own[3] * (momentum / covered - wp.cross(turn, middle))
+        net = share[0] * whole[g] * (momentum / inertia - wp.cross(turn, middle))
     recoil[g] = along_walls(net, walls, contact) / whole[g]

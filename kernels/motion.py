@@ -110,29 +110,30 @@ def carry_motion_r(
 ):
     """Inertia of each region as a whole: its liquid M, all of the air inside and half its volume of air outside.
 
-    Normal motion alone has sum m n n of it, with the air of mode 2. What lacks, X, acts on the translation
-    U = W sum m u_n n, W = (sum m n n)^-1, and so enters the matrix as p_i.X W^2 p_j with p = m n. Liquid hangs on its
-    film, so the whole weight moves it.
+    Normal motion alone has L = sum m n n of it, with the air of mode 2. What lacks, X = M + 3/2 rho_air V - L, acts on
+    the translation U = L^-1 sum m u_n n, and so enters the matrix as p_i.L^-1 X L^-1 p_j with p = m n. Liquid hangs on
+    its film, so the whole weight moves it.
 
     Args:
         weight: from `weight_chunks`.
         inertia: parts of sum m n n, m with the air's share, kg.
         gas: gas slots.
         density: of the air that moves along, kg/m^3.
-        whole: [regions] M + 3/2 rho_air V, kg.
-        rigid: [regions] X W^2, 1/kg.
+        whole: [regions] M + 3/2 rho_air V, kg; what L has at most, where a bubble is drawn out to a disc.
+        rigid: [regions] L^-1 X L^-1, 1/kg.
         fall: [regions] acceleration by outside forces, m/s^2.
     """
     g = wp.tid()
     regions = whole.shape[0]
     own = region_total(weight, g, regions)
     normal = region_total(inertia, g, regions)
-    third = wp.trace(normal) / 3.0
-    size = own[3] + 1.5 * density * float(gas[g, VOLUME])
-    lack = wp.max(size - third, 0.0)
-    scaled = wp.inverse(normal / third)
-    whole[g] = third + lack
-    rigid[g] = (lack / (third * third)) * (scaled * scaled)
+    most = float(0.0)
+    for k in range(3):
+        most = wp.max(most, wp.abs(normal[k, 0]) + wp.abs(normal[k, 1]) + wp.abs(normal[k, 2]))
+    size = wp.max(own[3] + 1.5 * density * float(gas[g, VOLUME]), most)
+    inverse = wp.inverse(normal / size)
+    whole[g] = size
+    rigid[g] = (inverse * inverse - inverse) / size
     fall[g] = wp.vec3(own[0], own[1], own[2]) / whole[g]
 
 

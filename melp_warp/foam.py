@@ -143,7 +143,7 @@ class FoamMembrane:
         self.whole = film.zeros(film.regions)
         self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
         self._balance, self._drift, self._pull = (film.zeros(film.regions, wp.vec3) for _ in range(3))
-        self._weight = film.parts(wp.vec4)
+        self._held, self._weight = film.zeros(film.regions), film.parts(wp.vec4)
         self._owed = film.zeros(film.regions, wp.vec4)
         self._spin, self._place = film.zeros(film.regions, wp.vec3), film.zeros(film.regions, wp.vec3)
         self._alone = wp.array(np.arange(film.regions, dtype=np.int32), device=film.device)
@@ -165,7 +165,8 @@ class FoamMembrane:
         self._gained, self._middle = film.parts(wp.vec4), film.parts(wp.vec4)
         self._swept = film.parts(wp.float64)
         self._near = wp.zeros((self._touch.shape[0], film.regions), dtype=wp.int32, device=film.device)
-        self._fresh, self._share = True, Setting(film.device)
+        self._crossing = 0.0
+        self._fresh, self._share, self._paid, self._last = True, Setting(film.device), Setting(film.device), 0.0
 
     def start_motion(self) -> None:
         """Take the air's mass from the volumes and the translations from the velocities, at the start of a run."""
@@ -178,16 +179,24 @@ class FoamMembrane:
             self.added.assign(film_added_mass(film.surroundings.air_density, radius))
         inertia = film.material.areal_mass + float(self.added.numpy().mean())
         self.contact.lag = film.spacing * math.sqrt(inertia / self.contact.cling)
+        lightest = film.material.areal_mass + float(self.added.numpy().min())
+        self._crossing = film.spacing * math.sqrt(lightest / self.contact.cling)
         self._find_motion(self.state.motion)
 
-    @property
-    def longest_step(self) -> float:
-        """Step in which what moves along bent sheets is still followed, s: two times of a wave across a spacing."""
-        return 2.0 * self.contact.lag
+    def longest_step(self, speed: float) -> float:
+        """Step in which sheets that move at `speed` (m/s) are still followed, s.
+
+        Once the time in which a wave crosses a spacing of the lightest bubble where sheets move at a tenth of that
+        wave, twice at rest: in longer steps sheets that meet gain energy.
+        """
+        moving = min(10.0 * speed * self._crossing / self.film.spacing, 1.0)
+        return (2.0 - moving) * self._crossing
 
     def prepare(self, dt: float) -> None:
         """Set the share of what is passed on late that is passed on in a step of dt (s); all of it in the first."""
-        self._share.at(1.0 if self._fresh else -math.expm1(-dt / (PATIENCE * self.contact.lag)))
+        self._paid.at(self._last)
+        self._last = 1.0 if self._fresh else -math.expm1(-dt / (PATIENCE * self.contact.lag))
+        self._share.at(self._last)
         self._fresh = False
 
     def find_contacts(self, x: wp.array) -> None:
@@ -309,12 +318,12 @@ class FoamMembrane:
         arrays = [*of_e, solver.moments, solver.x, film.first]
         parts, debt = [self._gained, self._turned, self._middle], [self._owed, self._spin, self._place]
         film.launch_parts(kl.gained_chunks, arrays, parts)
-        film.launch_regions(kl.owe_r, [*parts, self._share.array], debt)
+        film.launch_regions(kl.owe_r, [*parts, self._paid.array], debt)
         wall = [self._touch, self.contact, self._share.array]
         film.launch_regions(kl.pay_debt_r, [*debt, self._cluster, self.whole, *wall], [self._recoil])
 
     def _find_clusters(self) -> None:
-        """Number of each region's cluster: those that are near each other, and those near them, and so on; its drift."""
+        """Number of each region's cluster: those near each other, those near them, and so on; its drift."""
         film = self.film
         film.launch_parts(kr.near_chunks, [self.state.e.region, self.lists.eo.rows, film.first], [self._near])
         before = self._alone
@@ -324,7 +333,7 @@ class FoamMembrane:
             before = self._cluster
         film.launch_parts(kl.touch_chunks, [self.state.e.x, self.contact, film.first], [self._touch])
         of_regions = [self.state.motion, self.whole, self._fall, self._cluster, self._touch]
-        film.launch_regions(kl.find_drift_r, of_regions, [self._drift, self._pull])
+        film.launch_regions(kl.find_drift_r, of_regions, [self._drift, self._pull, self._held])
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
@@ -377,7 +386,7 @@ class FoamMembrane:
             kf.load_foam_e,
             [
                 *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._balance, self._missing),
-                *(self._drift, self.added, film.surroundings.damping, e.u, self._load, dt),
+                *(self._drift, self._held, self.added, film.surroundings.damping, e.u, self._load, dt),
             ],
             [self.response.b, operator.diag, self._mass, self._outer, self.response.sweep, self.response.carried],
         )

@@ -24,6 +24,8 @@ from melp_warp.simulation import Simulation
 
 RADIUS = 0.05
 """m, as in Table 3 of the paper."""
+GRAVITY = 9.81
+"""m/s^2."""
 PLATEAU = 120.0
 EDGE = math.degrees(math.acos(-1.0 / 3.0))
 DAMPING = 30.0
@@ -41,6 +43,8 @@ def foam_scene(
     tension=None,
 ) -> Scene:
     """Bubbles at `centres` (in units where neighbours touch), spread until neighbours are `gap` spacings apart.
+
+    Nothing outside acts on them, the drag of the air neither: what moves their middle is numerical.
 
     Args:
         centres: [n, 3] m, of bubbles that touch their neighbours.
@@ -65,7 +69,7 @@ def foam_scene(
         Cluster(bubbles),
         e_count=round(4.0 * math.pi * float((radii**2).sum()) / spacing**2),
         l_per_e=l_per_e,
-        surroundings=Surroundings(air=FOAM["air"], damping=DAMPING),
+        surroundings=Surroundings(air=FOAM["air"], air_drag=0.0, damping=DAMPING),
         numerics=Numerics(
             cfl=FOAM["cfl"],
             redistribution=FOAM["redistribution"],
@@ -124,6 +128,49 @@ def settle(scene: Scene) -> tuple[Simulation, Measurement, dict]:
         "e_count": seen["e_count"],
     }
     return simulation, measured, watched
+
+
+def fall(count: int = 1, e_count: int = 400, l_per_e: int = 0, duration: float = 0.5) -> dict:
+    """One bubble, or two side by side that touch, of 400 nm of water falls from rest in air without drag.
+
+    The acceleration is g M/(M + 2 pi rho_air R^3), M the film's mass: half its volume of air outside and all of it
+    inside go with it.
+
+    Args:
+        count: 1 or 2 bubbles.
+        e_count: E on each.
+        l_per_e: L per E.
+        duration: s.
+
+    Returns:
+        m, the height that the middle of the E has gained; `speed_error`: relative, of the mean velocity at the end;
+        `aside`: how far it went sideways, relative to the way down.
+    """
+    centres = RADIUS * np.array([[2.0 * k, 0.0, 0.0] for k in range(count)])
+    shape = Cluster(tuple(Bubble(tuple(c.tolist()), RADIUS) for c in centres))
+    around = Surroundings(air="added_mass", air_drag=0.0, gravity=(0.0, -GRAVITY, 0.0))
+    numerics = Numerics(cfl=FOAM["cfl"])
+    scene = Scene("fall", shape, count * e_count, l_per_e, surroundings=around, numerics=numerics, fps=60.0)
+    simulation = Simulation(scene)
+
+    def middle():
+        return simulation.state.e.x.numpy().astype(np.float64).mean(axis=0)
+
+    start = middle()
+    for _ in range(round(scene.fps * duration)):
+        simulation.advance_frame()
+    moved = middle() - start
+    speed = simulation.state.motion.numpy()[:, 1].mean()
+    mass = 4.0 * math.pi * RADIUS**2 * scene.material.areal_mass
+    exact = -0.5 * GRAVITY * mass / (mass + 2.0 * math.pi * around.air_density * RADIUS**3) * duration**2
+    return {
+        "exact": exact,
+        "measured": float(moved[1]),
+        "error": abs(float(moved[1]) / exact - 1.0),
+        "speed_error": abs(float(speed) * 0.5 * duration / exact - 1.0),
+        "aside": math.hypot(float(moved[0]), float(moved[2])) / abs(exact),
+        **{"count": count, "e_count": e_count, "l_per_e": l_per_e, "duration": duration},
+    }
 
 
 def double_bubble(e_per_bubble: int = 1000, ratio: float = 1.0, frames: int = 140, l_per_e: int = 0) -> dict:

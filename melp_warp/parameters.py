@@ -153,7 +153,9 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "pressure": _at_least_zero("Pa", "pressure of the air outside", 1e8),
         "air": Key("-", "inertia of the air that the film moves", choices=AIR_MODELS),
         "air_density": _positive("kg/m^3", "density of the air", 1e3),
-        "air_drag": _at_least_zero("-", "factor on the drag of a sphere on a bubble as a whole, where air is on", 100.0),
+        "air_drag": _at_least_zero(
+            "-", "factor on the drag of a sphere on a bubble as a whole, where air is on", 100.0
+        ),
         "drag": _at_least_zero("Pa s/m", "traction of the air per speed along the film, both sides", 1e3),
         "damping": _at_least_zero("1/s", "rate at which the air takes up the normal motion within a foam", 1e5),
         "exchange": _at_least_zero("1/s", "rate at which liquid crosses between films that touch", 1e5),

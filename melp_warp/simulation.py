@@ -297,7 +297,7 @@ class Simulation:
         if self.scene.dt is not None:
             return min(limit, self.scene.dt)
         if self.film.features.foam:
-            limit = min(limit, self.stepper.membrane.longest_step)
+            limit = min(limit, self.stepper.membrane.longest_step(self._fastest()))
         reach = self.scene.numerics.cfl * self.film.spacing
         if self._step_limit == 0.0:
             return min(limit, reach / self._wave_speed)

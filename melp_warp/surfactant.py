@@ -67,8 +67,8 @@ class Tangential:
             2 (1 - theta), unless `l_order` is 2.
         dilation: [n_e] div_s u, 1/s: before the solve, then where `find_dilation` was called.
         before: [n] velocity of E at the start of the step, m/s; None where L do not look back at it.
-        wind: [regions] velocity of the air along the film, m/s, where its drag on the film as a whole is told apart: that
-            of the film; None for air at rest.
+        wind: [regions] velocity of the air along the film, m/s: that of the film as a whole where drag on the whole is
+            told apart; None for air at rest.
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where the film does not recoil.
     """
 

@@ -11,13 +11,14 @@ the tool `tools/validate.py` runs them at full size and writes docs/validation.m
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from melp_warp.estimate import array_bytes
 from melp_warp.cluster import Bubble, Cluster
+from melp_warp.estimate import array_bytes
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
@@ -566,7 +567,7 @@ def sphere_fall(mass: float, radius: float, times: np.ndarray, air_drag: float =
         return np.array([(mass * GRAVITY - drag) / inertia, state[0]])
 
     found = [np.zeros(2)]
-    for begin, end in zip(times[:-1], times[1:], strict=True):
+    for begin, end in itertools.pairwise(times):
         state, h = found[-1], (end - begin) / 100.0
         for _ in range(100):
             a = rate(state)
