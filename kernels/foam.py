@@ -221,6 +221,7 @@ def load_foam_e(
     outer: wp.array(dtype=float),
     sweep: wp.array(dtype=float),
     carried: wp.array(dtype=wp.vec3),
+    braked: wp.array(dtype=wp.vec2),
 ):
     """Right-hand side and inertia of the solve.
 
@@ -248,6 +249,7 @@ def load_foam_e(
         outer: [n_e] the load's part from outside the foam, kg m/s.
         sweep: [n_e] dt N.n, volume swept per normal speed, m^2 s.
         carried: [n_e] momentum of the region as a whole per normal speed, m n, kg.
+        braked: [n_e] what damping within the foam takes, kg m/s, and how much more per change of the speed, kg.
     """
     i = wp.tid()
     n = normal[i]
@@ -262,6 +264,7 @@ def load_foam_e(
     inertia[i] = m + held[g] * slow
     sweep[i] = dt[0] * wp.dot(vector[i], n)
     carried[i] = m * n
+    braked[i] = (1.0 - held[g]) * wp.vec2(damped, slow)
 
 
 @wp.kernel

@@ -271,6 +271,7 @@ def gained_chunks(
     outer: wp.array(dtype=float),
     inertia: wp.array(dtype=float),
     carried: wp.array(dtype=wp.vec3),
+    braked: wp.array(dtype=wp.vec2),
     moments: wp.array(dtype=wp.vec4),
     change: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
@@ -289,6 +290,8 @@ def gained_chunks(
         outer: [n_e] loads from outside the foam, kg m/s.
         inertia: [n_e] kg.
         carried: [n_e] p = m n, kg.
+        braked: [n_e] what damping within the foam takes, from `load_foam_e`: its angular momentum goes to the air, or a
+            foam that turns would for ever.
         moments: [regions] (., K sum p u): what the inertia of the region as a whole adds is p.K sum p u, see
             `carry_motion_r`.
         change: [n_e] change of the normal speed, m/s.
@@ -309,7 +312,7 @@ def gained_chunks(
     for i in range(start, stop):
         lost = (outer[i] - inertia[i] * change[i] - wp.dot(carried[i], moved)) * normal[i]
         total += lost
-        moment += wp.cross(x[i], lost)
+        moment += wp.cross(x[i], lost - (braked[i][0] + braked[i][1] * change[i]) * normal[i])
         place += area[i] * x[i]
         touched += faced[i] * area[i]
         size += area[i]

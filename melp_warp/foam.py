@@ -134,6 +134,7 @@ class FoamMembrane:
         self.contact = make_contact(film)
         self.cover, self._faced, self._free = film.zeros(n), film.zeros(n), film.zeros(n)
         self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
+        self._braked = film.zeros(n, wp.vec2)
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start, self.frame, self.passed = (film.zeros(film.regions, wp.vec3) for _ in range(3))
         self.drag = AirDrag(film, state) if film.features.dragged else None
@@ -314,7 +315,7 @@ class FoamMembrane:
         """Momentum and angular momentum that the foam gave itself in the solve, back to where they came from."""
         film, e, solver = self.film, self.state.e, self.response
         solver.find_moments(solver.x)
-        of_e = [e.x, e.normal, self.geometry.area, self._faced, self._outer, self._mass, solver.carried]
+        of_e = [e.x, e.normal, self.geometry.area, self._faced, self._outer, self._mass, solver.carried, self._braked]
         arrays = [*of_e, solver.moments, solver.x, film.first]
         parts, debt = [self._gained, self._turned, self._middle], [self._owed, self._spin, self._place]
         film.launch_parts(kl.gained_chunks, arrays, parts)
@@ -388,5 +389,13 @@ class FoamMembrane:
                 *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._balance, self._missing),
                 *(self._drift, self._held, self.added, film.surroundings.damping, e.u, self._load, dt),
             ],
-            [self.response.b, operator.diag, self._mass, self._outer, self.response.sweep, self.response.carried],
+            [
+                self.response.b,
+                operator.diag,
+                self._mass,
+                self._outer,
+                self.response.sweep,
+                self.response.carried,
+                self._braked,
+            ],
         )
