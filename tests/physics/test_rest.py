@@ -94,7 +94,7 @@ def test_free_bubble_keeps_its_momentum():
 
 @pytest.mark.parametrize("foam", [False, True])
 def test_a_bubble_falls_as_fast_as_the_air_lets_it(foam):
-    """R 1 cm, 1 um: 0.332 m/s, the speed and way of a sphere by Schiller and Naumann's drag, integrated apart, at 1/60 s.
+    """R 1 cm, 1 um: 0.332 m/s, the speed and way of a sphere by Schiller and Naumann's drag, at 1/60 s.
 
     Within 0.5 % at the end; within 3 % on the way where the liquid of a single film sloshes, 0.5 % in a foam.
     """
