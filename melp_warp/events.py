@@ -75,14 +75,25 @@ class Events:
         return self._at_walls(x, simulation) or self._birth(x, time, simulation)
 
     def _scripted(self, event: Event, simulation: Simulation) -> Callable[[Stored], None] | None:
+        """What an event changes; None, with a notice, where there is nothing to change."""
         labels = simulation.film.labels
-        if len(labels) == 1 or not all(region in labels for region in event.regions):
-            return None  # popped or merged before
+        missing = [region for region in event.regions if region not in labels]
+        if missing:
+            return self._miss(event, f"there is no region {missing[0]}", simulation)
         indices = [labels.index(region) for region in event.regions]
         if isinstance(event, Pop):
             return self._pop(indices[0], simulation)
         partition = self._partition(simulation, *indices)
+        if not partition["e"].any():
+            return self._miss(event, "they share no film", simulation)
         return lambda stored: merge_regions(stored, *indices, partition)
+
+    def _miss(self, event: Event, why: str, simulation: Simulation) -> None:
+        """Note that an event changes nothing."""
+        what = f"{type(event).__name__} of {' and '.join(map(str, event.regions))} at {event.time:g} s"
+        coming = [region for region in event.regions if region in self.unborn]
+        more = f": bubble {coming[0]} is still to come" if coming else ""
+        simulation.notices.note("event without effect", 1.0, f"{what} changes nothing, as {why}{more}")
 
     def _pop(self, k: int, simulation: Simulation) -> Callable[[Stored], None]:
         partners = simulation.stepper.membrane.find_partners("l") if simulation.has_l else None
@@ -92,7 +103,7 @@ class Events:
         for wall in self._popping:
             height = (x - np.array(wall.point)) @ np.array(wall.normal)
             near = np.flatnonzero(height < WALL_REACH * simulation.film.spacing)
-            if len(near) and len(simulation.film.labels) > 1:
+            if len(near):
                 return self._pop(int(simulation.state.e.region.numpy()[near].min()), simulation)
         return None
 

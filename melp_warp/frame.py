@@ -32,3 +32,11 @@ class ParticleFrame:
     region: np.ndarray
     black_film: np.ndarray
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> ParticleFrame:
+        """A frame without particles."""
+        vectors, numbers = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        integers = np.zeros(0, np.int32)
+        ids = np.zeros(0, np.int64)
+        return cls(vectors, vectors, ids, numbers, vectors, numbers, integers, integers, origin)

@@ -109,7 +109,7 @@ class Camera:
             aspect: width over height of the pictures to be made.
 
         Raises:
-            InputError: no points, a number that is not finite, or an option out of range.
+            InputError: no points in any frame, a number that is not finite, or an option out of range.
         """
         require(np.isfinite(margin) and margin >= 1.0, "margin", margin, "a number of at least 1")
         require(np.isfinite(aspect) and 0.05 <= aspect <= 20.0, "aspect", aspect, "a number from 0.05 to 20")
@@ -160,7 +160,9 @@ def _axes(back: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
 def _gather(what) -> tuple[np.ndarray, np.ndarray | None, float]:
     """Points [m, 3] of what is to be seen, the common normal where there is one, and the spacing of the points."""
     frames = [what] if isinstance(what, (np.ndarray, ParticleFrame)) else list(what)
-    require(len(frames) > 0, "frames", frames, "at least one frame")
+    if len(frames) > 1:  # films that popped leave frames without particles
+        frames = [one for one in frames if not (isinstance(one, ParticleFrame) and len(one.points) == 0)]
+    require(len(frames) > 0, "frames", frames, "at least one frame with particles")
     points, normals = [], []
     spacing = 0.0
     for frame in frames:
@@ -262,7 +264,7 @@ def render(
     environment: str = "auto",
     index: float = optics.WATER_INDEX,
 ) -> np.ndarray:
-    """Draw one frame.
+    """Draw one frame; one without particles, as after the last bubble popped, is the backdrop alone.
 
     Args:
         frame: the film. Points, normals, thickness and region are used; widths where there are few points.
@@ -282,9 +284,12 @@ def render(
         [height, width, 3] uint8, sRGB.
 
     Raises:
-        InputError: a frame that is empty, not finite or of wrong shape, or an option out of range.
+        InputError: a frame that is not finite or of wrong shape, one that is empty without a camera, or an option out
+            of range.
     """
     _check_options(width, height, exposure, layers, samples, environment)
+    if camera is not None and len(frame.points) == 0:
+        frame = _out_of_sight(camera)
     data = _checked_frame(frame)
     if layers is None:
         layers = 4 if np.ptp(data["region"]) == 0 else int(kernels.MAX_LAYERS)
@@ -308,6 +313,14 @@ def render(
         return _encode(picture.numpy(), 0.5)
     glow = _blurred(glare.numpy(), max(width, height) / 90.0)
     return _encode(picture.numpy() + 0.06 * glow, _dither(width, height))
+
+
+def _out_of_sight(camera: Camera) -> ParticleFrame:
+    """A frame of one particle behind the camera."""
+    behind = 2.0 * np.array(camera.eye) - np.array(camera.target)
+    one, zero = np.ones(1, np.float32), np.zeros(1, np.int32)
+    up = np.array([[0.0, 1.0, 0.0]], np.float32)
+    return ParticleFrame(behind[None].astype(np.float32), 0.0 * up, zero.astype(np.int64), one, up, one, zero, zero)
 
 
 def _check_options(width, height, exposure, layers, samples, environment) -> None:

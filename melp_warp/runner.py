@@ -84,13 +84,14 @@ def run(plan: Plan) -> int:
         with _Progress(plan) as progress:
             simulation = _simulation(plan)
             with finish_first():
-                _simulate(simulation, plan.scene.frames, _Output(plan, simulation), progress)
+                output = _Output(plan, simulation)
+                _simulate(simulation, plan.scene.frames, output, progress)
         images = _draw_run(plan) if plan.preview else []
     except KeyboardInterrupt:
         print(f"melp-warp: interrupted: {_kept(plan.out)}{_noticed(simulation)}", file=sys.stderr)
         return INTERRUPTED
     if not plan.quiet:
-        _say_finished(plan.out, images, simulation.notices)
+        _say_finished(plan.out, images, simulation.notices, output.empty_from)
     return int(plan.strict and bool(simulation.notices))
 
 
@@ -224,12 +225,17 @@ class _Progress:
 
 
 class _Output:
-    """The folder of a run: the cache and a line of run.jsonl for every frame."""
+    """The folder of a run: the cache and a line of run.jsonl for every frame.
+
+    Attributes:
+        empty_from: first of the last frames without particles, None where the last one has some.
+    """
 
     def __init__(self, plan: Plan, simulation: Simulation):
         from melp_warp.usd import CacheWriter
 
         self._folder = plan.out
+        self.empty_from: int | None = None
         shown = "l" if simulation.has_l and plan.export != "e" else "e"
         self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
         metadata = {
@@ -250,6 +256,10 @@ class _Output:
         except SimulationError as error:
             raise SimulationError(f"{error}; {_kept(self._folder)}") from error
         self._log({"frame": simulation.frame, **diagnostics})
+        if any(len(one.points) for one in sets.values()):
+            self.empty_from = None
+        elif self.empty_from is None:
+            self.empty_from = simulation.frame
         return diagnostics
 
     def _log(self, line: Mapping) -> None:
@@ -296,10 +306,12 @@ def _noticed(simulation: Simulation | None) -> str:
     return f"; noticed: {simulation.notices.summary()}" if simulation and simulation.notices else ""
 
 
-def _say_finished(folder: Path, images: list[Path], notices: Notices) -> None:
+def _say_finished(folder: Path, images: list[Path], notices: Notices, empty_from: int | None) -> None:
     from melp_warp.usd import ROOT
 
     print(f"{_kept(folder)}: {folder / ROOT}")
+    if empty_from is not None:
+        print(f"The last film is gone: from frame {empty_from} on there are no particles")
     for image in images:
         print(f"drawn: {image}")
     print(f"Open the .usda in usdview, Houdini or Omniverse, or draw a frame: melp-warp preview {folder}")

@@ -18,7 +18,7 @@ from melp_warp.scene import Scene
 from melp_warp.shapes import Samples
 from melp_warp.single_layer import make_stepper
 from melp_warp.state import GAS_SLOTS, EulerianState, LagrangianState, State, allocate, state_origin
-from melp_warp.stepper import Stepper
+from melp_warp.stepper import NoFilm, Stepper
 
 RELAXATION_STEPS = 30
 MOST_RELAXATION_STEPS = 300
@@ -228,6 +228,8 @@ def _walls_from(origin: np.ndarray, walls: tuple[Wall, ...]) -> tuple[Wall, ...]
 def resume(scene: Scene, stored: dict[str, np.ndarray], labels: tuple[int, ...], spacing: float, device, room=1.4):
     """Film and stepper of a foam from arrays as `State.numpy` gives them, whatever their lengths.
 
+    Without regions there is nothing to step: the stepper is then a `NoFilm`.
+
     Args:
         scene: the scene.
         stored: arrays by name, E region by region.
@@ -245,6 +247,8 @@ def resume(scene: Scene, stored: dict[str, np.ndarray], labels: tuple[int, ...],
     )
     film.room = room
     state.load(stored)
+    if not labels:
+        return film, NoFilm(film, state)
     stepper = Stepper(film, state)
     stepper.fields.update()
     _fill_new_gas(film, state)

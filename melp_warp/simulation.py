@@ -110,10 +110,17 @@ class Simulation:
         self.notices = Notices()
         self._remark()
 
+    @property
+    def gone(self) -> bool:
+        """Whether the last film has popped: there are no particles, and time passes until a bubble appears."""
+        return self.film.n_e == 0
+
     def _adopt(self, film: Film, stepper: Stepper) -> None:
         """Go on with this film and stepper."""
         self.film, self.stepper, self.state = film, stepper, stepper.state
         self._snapshot = Snapshot(self.state)
+        if self.gone:
+            return
         self._summary = film.parts(kd.vec12d)
         self._energy = film.parts(wp.float64)
         size = float(np.sqrt(self.state.gas.numpy()[:, AREA].min() / np.pi))
@@ -177,10 +184,12 @@ class Simulation:
         self._substeps = 0
         for stage in STAGES:
             self.stepper.wall[stage] = 0.0
-        self.stepper.lists.forget_leaps()
+        if not self.gone:
+            self.stepper.lists.forget_leaps()
         while end - self.time > 1e-9 / self.scene.fps:
             let_through()
-            self.stepper.lists.watched = watched
+            if not self.gone:
+                self.stepper.lists.watched = watched
             self.step_towards(end)
             if watched:
                 self._check()
@@ -189,6 +198,8 @@ class Simulation:
 
     def _check(self) -> None:
         """Raise if the steps of this frame went wrong (reads back)."""
+        if self.gone:
+            return
         self._check_way()
         self.stepper.check()
 
@@ -235,6 +246,9 @@ class Simulation:
 
     def _renew(self) -> None:
         """Make anew what the stages keep between steps (lists, fits, first guesses) from the state, which stays."""
+        self._last_dt, self._step_limit = 0.0, 0.0
+        if self.gone:
+            return
         film, kept, area = self.film, Snapshot(self.state), self.stepper.geometry.area
         self.stepper = make_stepper(film, self.state)
         if film.features.foam:
@@ -245,7 +259,6 @@ class Simulation:
         kept.restore(self.state)
         if self.has_l:
             self.stepper.lists.rebuild_l()
-        self._last_dt, self._step_limit = 0.0, 0.0
 
     def _recentre(self) -> None:
         """Measure positions from a closed film itself once it has flown far."""
@@ -261,6 +274,9 @@ class Simulation:
     def step_towards(self, end: float) -> float:
         """Take one step of those in which a frame that ends at `end` (s) is done; its size, s."""
         left = self._until(end) - self.time
+        if self.gone:
+            self.step(left)
+            return left
         self._step_limit = self.largest_step()
         self.step(left / math.ceil(left / self._step_limit - 1e-6))
         self._substeps += 1
@@ -325,6 +341,8 @@ class Simulation:
 
     def particles(self, which: str) -> ParticleFrame:
         """The L ("l") or E ("e") as NumPy arrays."""
+        if self.gone:
+            return ParticleFrame.empty(tuple(self.origin.tolist()))
         n = self.film.n_l if which == "l" else self.film.n_e
         if which == "l":
             lag = self.state.l
@@ -354,6 +372,8 @@ class Simulation:
     def diagnostics(self) -> dict:
         """Everything worth a line of the run's log; plain numbers (reads back)."""
         film, state, stepper = self.film, self.state, self.stepper
+        if self.gone:
+            return self._diagnostics_of_nothing()
         stepper.fields.update()
         sums = self._sums()
         gas = state.gas.numpy()
@@ -386,6 +406,30 @@ class Simulation:
             "wall_ms": {name: 1e3 * seconds for name, seconds in stepper.wall.items() if seconds > 0.0},
         }
         return {k: float(v) if isinstance(v, np.floating) else v for k, v in result.items()}
+
+    def _diagnostics_of_nothing(self) -> dict:
+        """The same keys once the last film has popped: sums are 0, and what has no value is None."""
+        return {
+            "frame": self.frame,
+            "time": self.time,
+            "dt": self._last_dt,
+            "substeps": self._substeps,
+            "solvers": {},
+            **dict.fromkeys(("e_count", "l_count"), 0),
+            **dict.fromkeys(("area", "volume"), 0.0),
+            "pressure": None,
+            **{name: [] for name in ("regions", "volumes", "pressures", "gas")},
+            "covered": None,
+            "spilled": self.spilled,
+            **dict.fromkeys(("mass", "surfactant"), 0.0),
+            "momentum": [0.0, 0.0, 0.0],
+            **dict.fromkeys(("kinetic_energy", "surface_energy", "max_speed"), 0.0),
+            **dict.fromkeys(("thickness_min", "thickness_mean", "thickness_max", "thickness_std"), None),
+            "e_spread": 0.0,
+            "lost": 0,
+            "notices": dict(self.notices.of_frame),
+            "wall_ms": {},
+        }
 
     def _foam_diagnostics(self, gas: np.ndarray) -> dict:
         return {
@@ -448,7 +492,7 @@ class Simulation:
             return {}
         return {
             **{f"ids.{kind}": ids for kind, ids in self._ids.items()},
-            "labels": np.array(self.film.labels),
+            "labels": np.array(self.film.labels, dtype=int),
             "unborn": np.array(self.events.unborn, dtype=int),
             "spilled": np.array(self.spilled),
         }

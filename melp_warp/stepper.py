@@ -256,3 +256,18 @@ class Stepper:
         for stage in stages:
             if hasattr(stage, "remark"):
                 stage.remark(notices)
+
+
+class NoFilm:
+    """Takes the place of a stepper when the last film of a foam has popped: time passes and nothing else happens."""
+
+    def __init__(self, film: Film, state: State):
+        self.film, self.state = film, state
+        self.wall = dict.fromkeys(STAGES, 0.0)
+
+    def step(self, dt: float) -> None:
+        """Let dt (s) pass."""
+        self.state.time += dt
+
+    def remark(self, notices: Notices) -> None:
+        """There is nothing to note."""

@@ -63,7 +63,7 @@ def check_stored(
         name = f"{kind}.region"
         if name in stored:
             _check_region(name, stored[name], regions)
-    _check_gas(stored["gas"], closed=bool(np.asarray(like["gas"])[0, 0] > 0.0))
+    _check_gas(stored["gas"], closed=bubbles is not None or bool(np.asarray(like["gas"])[0, 0] > 0.0))
     frame, time = int(stored["frame"]), float(stored["time"])
     require(0 <= frame <= 1_000_000, "frame", frame, "from 0 to 1000000")
     least = frame / fps * (1.0 - 1e-9)
@@ -71,9 +71,9 @@ def check_stored(
 
 
 def _check_labels(stored: Mapping[str, np.ndarray], bubbles: int, late: Sequence[int]) -> None:
-    """Regions are bubbles of the scene, each once, and those to come are others that come later."""
+    """Regions are bubbles of the scene, each once, none where all have popped; those to come are others."""
     labels, unborn = stored["labels"].tolist(), stored["unborn"].tolist()
-    known = len(set(labels)) == len(labels) > 0 and all(0 <= k < bubbles for k in labels)
+    known = len(set(labels)) == len(labels) and all(0 <= k < bubbles for k in labels)
     require(known, "labels", labels[:20], f"regions of this scene, 0 to {bubbles - 1}, each once")
     other = len(set(unborn)) == len(unborn) and set(unborn) <= set(late) - set(labels)
     require(other, "unborn", unborn[:20], "bubbles of this scene that are still to come, each once")
@@ -94,7 +94,7 @@ def _check_shape(name: str, array: np.ndarray, like: np.ndarray, sizes: Mapping[
     elif name in ("labels", "unborn"):
         return
     require(array.shape == wanted, name, array.shape, f"of shape {wanted} for this scene")
-    empty = name.endswith(".x") and len(array) == 0
+    empty = name.endswith(".x") and len(array) == 0 and regions != 0
     require(not empty, name, "no particles", "of one particle at least")
 
 
@@ -118,6 +118,9 @@ def _check_values(name: str, array: np.ndarray) -> None:
 
 def _check_region(name: str, region: np.ndarray, regions: int) -> None:
     """In range; E region by region, each with E."""
+    if regions == 0:
+        require(len(region) == 0, name, f"{len(region)} particles", "without particles, as there is no region")
+        return
     low, high = int(region.min()), int(region.max())
     require(low >= 0 and high < regions, name, [low, high], f"from 0 to {regions - 1}")
     if name == "e.region":
@@ -127,6 +130,6 @@ def _check_region(name: str, region: np.ndarray, regions: int) -> None:
 
 def _check_gas(gas: np.ndarray, closed: bool) -> None:
     """What encloses gas has a volume and an amount of it."""
-    for slot in ("volume", "amount") if closed else ():
+    for slot in ("volume", "amount") if closed and len(gas) else ():
         least = float(gas[:, GAS_SLOTS.index(slot)].min())
         require(least > 0.0, f"gas, {slot}", least, "above 0")

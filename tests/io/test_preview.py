@@ -286,3 +286,14 @@ def test_contact_sheet_sets_pictures_in_a_grid():
         contact_sheet([])
     with pytest.raises(InputError, match=r"^images must be"):
         contact_sheet([images[0], images[0][:5]])
+
+
+def test_a_frame_without_particles_is_the_backdrop():
+    """Black with light of 1 from everywhere; a camera is fitted to the frames that have particles."""
+    frame = sphere()
+    camera = Camera.fit([frame, ParticleFrame.empty()])
+    assert camera == Camera.fit([frame])
+    assert white(ParticleFrame.empty(), camera=camera).max() == 0.0
+    assert white(frame, camera=camera).max() > 0.0
+    with pytest.raises(InputError, match="points"):
+        render(ParticleFrame.empty(), 64, 64)

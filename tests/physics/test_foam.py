@@ -210,6 +210,78 @@ def test_pop_leaves_the_neighbour_with_the_shared_liquid():
     assert end["mass"] > 0.51 * start["mass"]
 
 
+@pytest.mark.parametrize("l_per_e", [0, 3])
+def test_when_the_last_bubble_pops_nothing_is_left_but_its_liquid(l_per_e, tmp_path):
+    """Frames go on without particles, all liquid is spilled; a bubble that comes later finds its place.
+
+    A run that loads a checkpoint written while there is nothing goes on to the same bits.
+    """
+    bubbles = (Bubble((0.0, 0.0, 0.0), R), Bubble((0.0, 3.0 * R, 0.0), 0.9 * R, born=0.07))
+    events = (Pop(0.02, 0), Pop(0.105, 1))
+    scene = cluster_scene(bubbles, 200, l_per_e=l_per_e, events=events, fps=60.0)
+    simulation = Simulation(scene)
+    start = simulation.diagnostics()
+    seen = []
+    for frame in range(1, 8):
+        simulation.advance_frame()
+        seen.append(simulation.diagnostics())
+        assert seen[-1].keys() == start.keys()
+        assert seen[-1]["frame"] == frame
+        assert seen[-1]["time"] == pytest.approx(frame / 60.0)
+        assert len(simulation.particles("e").points) == seen[-1]["e_count"]
+        if frame == 3:
+            simulation.save_checkpoint(tmp_path / "nothing.npz")
+    assert [one["regions"] for one in seen] == [[0], [], [], [], [1], [1], []]
+    assert seen[1]["spilled"] == pytest.approx(start["mass"], rel=1e-6)
+    assert seen[-1]["spilled"] == pytest.approx(start["mass"] + seen[4]["mass"], rel=1e-6)
+    assert seen[-1]["mass"] == seen[-1]["area"] == 0.0
+    assert not simulation.notices
+    again = Simulation(scene)
+    again.load_checkpoint(tmp_path / "nothing.npz")
+    assert again.gone
+    for _ in range(3):
+        again.advance_frame()
+    assert again.diagnostics()["regions"] == [1]
+    assert again.diagnostics()["kinetic_energy"] == seen[5]["kinetic_energy"]
+
+
+def test_both_bubbles_of_two_pop():
+    """The second pop leaves nothing, the first its share."""
+    simulation = Simulation(two(400, events=(Pop(0.01, 1), Pop(0.03, 0)), fps=60.0))
+    start = simulation.diagnostics()
+    simulation.advance_frame()
+    assert simulation.diagnostics()["regions"] == [0]
+    simulation.advance_frame()
+    assert simulation.gone
+    assert simulation.spilled == pytest.approx(start["mass"], rel=1e-6)
+
+
+def test_a_wall_pops_the_last_bubble():
+    """It flies into the wall and is gone."""
+    walls = (Wall((1.2 * R, 0.0, 0.0), (-1.0, 0.0, 0.0), pops=True),)
+    simulation = Simulation(cluster_scene((Bubble((0.0, 0.0, 0.0), R, (1.0, 0.0, 0.0)),), 200, walls=walls))
+    for _ in range(3):
+        simulation.advance_frame()
+    assert simulation.gone
+
+
+@pytest.mark.parametrize(
+    ("bubbles", "events", "words"),
+    [
+        ([0.0], (Pop(0.0, 0), Pop(0.01, 0)), "Pop of 0 at 0.01 s changes nothing, as there is no region 0"),
+        ([0.0, 5.0 * R], (Merge(0.01, 0, 1),), "Merge of 0 and 1 at 0.01 s changes nothing, as they share no film"),
+        ([0.0, 5.0 * R], (Merge(0.01, 0, 2),), "there is no region 2: bubble 2 is still to come"),
+    ],
+)
+def test_an_event_that_changes_nothing_is_said(bubbles, events, words):
+    there = [Bubble((x, 0.0, 0.0), R) for x in bubbles]
+    there += [Bubble((-5.0 * R, 0.0, 0.0), R, born=1.0)] if len(there) > 1 else []
+    simulation = Simulation(cluster_scene(tuple(there), 200 * len(bubbles), events=events, fps=60.0))
+    simulation.advance_frame()
+    assert simulation.notices.of_frame == {"event without effect": 1.0}
+    assert words in simulation.notices.fresh()[0]
+
+
 def test_merge_adds_the_gas_and_keeps_the_liquid():
     """The partition breaks: one bubble with both amounts of gas, at the pressure of its size, round after 0.3 s."""
     simulation = Simulation(two(800, l_per_e=2, events=(Merge(0.1, 0, 1),)))

@@ -63,6 +63,34 @@ def test_every_scene_runs_to_a_sound_cache(name, tmp_path):
     assert moved > 0.0 or np.abs(last.thickness - first.thickness[kept]).max() > 0.0
 
 
+POPPING = """
+from melp_warp.cluster import Bubble, Cluster, Pop
+from melp_warp.parameters import FOAM, declare
+
+PARAMETERS = declare(**FOAM, radius=0.05, pop_time=0.04, e_count=200, l_per_e=4, frames=5)
+
+
+def build(p):
+    return p.scene("popping", Cluster((Bubble((0.0, 0.0, 0.0), p.radius),), events=(Pop(p.pop_time, 0),)))
+"""
+
+
+def test_a_run_whose_last_bubble_pops_ends_as_any_other(tmp_path, capsys):
+    """Frames 3 to 5 hold no particles; the last lines say so, the cache is sound and every frame can be drawn."""
+    script, out = tmp_path / "popping.py", tmp_path / "out"
+    script.write_text(POPPING)
+    assert cli.main(["run", str(script), "--out", str(out), "--export", "both"]) == 0
+    assert "The last film is gone: from frame 3 on there are no particles" in capsys.readouterr().out
+    assert check_cache(out) == []
+    assert [len(read_frame(out, frame, "Film").points) > 0 for frame in list_frames(out)] == 3 * [True] + 3 * [False]
+    log = lines(out)
+    assert log[-1]["spilled"] == pytest.approx(log[0]["mass"], rel=1e-6)
+    for frame in (2, 5):
+        picture = tmp_path / f"{frame}.png"
+        assert cli.main(["preview", str(out), "--frame", str(frame), "--size", "64", "--out", str(picture)]) == 0
+        assert picture.stat().st_size > 0
+
+
 def test_same_seed_same_result_bit_for_bit(tmp_path):
     for folder, seed in (("one", 4), ("two", 4), ("other", 5)):
         assert run("giant_bubble", tmp_path / folder, "--seed", seed, "--export", "both") == 0
