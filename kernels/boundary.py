@@ -4,9 +4,12 @@ import warp as wp
 
 from melp_warp.kernels.mls import Quadric, height_above
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.sph import kernel_w, tangential
+from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangential
 
 wp.set_module_options({"enable_backward": False})
+
+SQUARE = wp.constant(0.5)
+"""Cosine between the directions across two walls below which they are two, not one that bends."""
 
 
 @wp.kernel
@@ -148,3 +151,179 @@ def extend_film_b(
         mirror[b] = p
         x[n_e + b] = 2.0 * a - p - wp.dot(curvature[b], n) * s * s * n
         normal[n_e + b] = n
+
+
+@wp.kernel
+def find_walls_e(
+    x: wp.array(dtype=wp.vec3),
+    anchors: wp.array(dtype=wp.vec3),
+    outward: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    n_e: int,
+    # outputs
+    walls: wp.array2d(dtype=wp.vec4),
+):
+    """The rim near each E as straight walls: the nearest one, and beside a corner the one that it meets there.
+
+    Args:
+        x: [n] m.
+        anchors: [n_b] nearest points of the rim, m.
+        outward: [n_b] unit vectors across the rim.
+        rows: E:E neighbours.
+        n_e: number of E; boundary particle b is entry n_e + b.
+        walls: [n_e, 2] unit vector across the wall and the distance to it, m; distance -1 for none.
+    """
+    i = rows.first + wp.tid()
+    p = x[i]
+    for w in range(2):
+        nearest = float(1.0e30)
+        wall = wp.vec4(0.0, 0.0, 0.0, -1.0)
+        for k in range(rows.start[i], rows.stop[i]):
+            b = rows.index[k] - n_e
+            if b >= 0:
+                o = outward[b]
+                s = wp.max(wp.dot(anchors[b] - p, o), 0.0)
+                other = bool(True)
+                if w == 1:
+                    first = walls[i, 0]
+                    other = wp.abs(o[0] * first[0] + o[1] * first[1] + o[2] * first[2]) < SQUARE
+                if s < nearest and other:
+                    nearest = s
+                    wall = wp.vec4(o[0], o[1], o[2], s)
+        walls[i, w] = wall
+
+
+@wp.func
+def reflected(v: wp.vec3, o: wp.vec3) -> wp.vec3:
+    """v with its part along the unit vector o reversed."""
+    return v - 2.0 * wp.dot(v, o) * o
+
+
+@wp.func
+def across(wall: wp.vec4) -> wp.vec3:
+    """Unit vector across a wall."""
+    return wp.vec3(wall[0], wall[1], wall[2])
+
+
+@wp.func
+def image_friction(
+    i: int,
+    j: int,
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    walls: wp.array2d(dtype=wp.vec4),
+    r: float,
+) -> wp.vec3:
+    """sum 2|W'(d)|/d (u_i - R u_j) over the images of E j in the walls that i and j share, and in their corner.
+
+    An image lies at d^2 = |x_j - x_i|^2 + 4 s_i s_j, s the distances to the wall, and moves at R u_j. In a corner the
+    image of the image lies at the sum of both, moving at R R' u_j. The coupling is the same from j to i.
+    """
+    gap = wp.length_sq(x[j] - x[i])
+    ui = u[i]
+    total = wp.vec3()
+    corner = gap
+    twice = u[j]
+    shared = int(0)
+    for a in range(2):
+        one = walls[i, a]
+        if one[3] >= 0.0:
+            for c in range(2):
+                two = walls[j, c]
+                if two[3] >= 0.0 and wp.dot(across(one), across(two)) > SQUARE:
+                    o = wp.normalize(across(one) + across(two))
+                    more = 4.0 * one[3] * two[3]
+                    total += laplacian_weight(wp.sqrt(gap + more), r) * (ui - reflected(u[j], o))
+                    corner += more
+                    twice = reflected(twice, o)
+                    shared += 1
+    if shared == 2:
+        total += laplacian_weight(wp.sqrt(corner), r) * (ui - twice)
+    return total
+
+
+@wp.func
+def wall_friction(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    walls: wp.array2d(dtype=wp.vec4),
+    rows: Neighbors,
+    r: float,
+    n_e: int,
+) -> wp.vec3:
+    """What images add to the sum of `rub_walls_e` of E i, over nu dt. kg m/s over m^2."""
+    mi = mass[i] / area[i]
+    total = mi * area[i] * image_friction(i, i, x, u, walls, r)
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        if j < n_e:
+            total += 0.5 * (mi + mass[j] / area[j]) * area[j] * image_friction(i, j, x, u, walls, r)
+    return area[i] * total
+
+
+@wp.kernel
+def rub_walls_e(
+    u: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    walls: wp.array2d(dtype=wp.vec4),
+    rows: Neighbors,
+    r: float,
+    n_e: int,
+    viscosity: float,
+    dt: wp.array(dtype=float),
+    # outputs
+    y: wp.array(dtype=wp.vec3),
+):
+    """Add to y the viscous coupling of E with the images of E beyond the rim: no flow across it, free slip along it.
+
+    y_i += dt nu sum_j (m_i/a_i + m_j/a_j)/2 a_i a_j 2|W'(d)|/d (u_i - R u_j), the symmetric sum that pairs of E have,
+    over the images that are missing from it.
+
+    Args:
+        u: [n] m/s, or a direction of search.
+        x: [n] m.
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        walls: [n_e, 2] from `find_walls_e`.
+        rows: E:E neighbours.
+        r: support radius, m.
+        n_e: number of E.
+        viscosity: nu, m^2/s.
+        dt: [1] s.
+        y: [n_e] kg m/s.
+    """
+    i = rows.first + wp.tid()
+    if walls[i, 0][3] >= 0.0:
+        y[i] = y[i] + dt[0] * viscosity * wall_friction(i, x, u, mass, area, walls, rows, r, n_e)
+
+
+@wp.kernel
+def start_walls_e(
+    u: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    walls: wp.array2d(dtype=wp.vec4),
+    rows: Neighbors,
+    r: float,
+    n_e: int,
+    viscosity: float,
+    dt: wp.array(dtype=float),
+    inverse: wp.array(dtype=float),
+    # outputs
+    residual: wp.array(dtype=wp.vec3),
+    z: wp.array(dtype=wp.vec3),
+    p: wp.array(dtype=wp.vec3),
+):
+    """Take the same from the first residual of conjugate gradients; z = residual/A_ii, p = z. [n_e]."""
+    i = rows.first + wp.tid()
+    if walls[i, 0][3] >= 0.0:
+        left = residual[i] - dt[0] * viscosity * wall_friction(i, x, u, mass, area, walls, rows, r, n_e)
+        residual[i] = left
+        z[i] = inverse[i] * left
+        p[i] = inverse[i] * left

@@ -220,13 +220,20 @@ def start_scalars(
     rz: wp.array(dtype=float),
     bz: wp.array(dtype=float),
     control: wp.array(dtype=float),
+    change: float,
     # outputs
     scalar: wp.array(dtype=float),
     go: wp.array(dtype=int),
 ):
-    """Set the stopping limit tol^2 (b, b/A_ii) and whether to iterate at all. control = (tolerance, iterations)."""
+    """Set the stopping limit and whether to iterate at all. control = (tolerance, iterations).
+
+    The limit is tol^2 (b, b/A_ii) or, where `change` is above 0, tol^2 of the first residual (r, z) and `change` times
+    that: what the solve changes is then found to the tolerance, unless it is lost in rounding.
+    """
     value = total_of(rz)
     reference = total_of(bz)
+    if change > 0.0:
+        reference = value + change * reference
     scalar[RZ] = value
     scalar[START] = reference
     scalar[LIMIT] = control[0] * control[0] * reference

@@ -16,6 +16,9 @@ CHUNKS = 64
 ENTRIES = 256
 """Entries of an array that a CPU thread takes at once where a kernel looks at nothing else; a GPU thread takes one."""
 
+CHANGE = 1e-6
+"""Square of the least change, over x, that a solve `of_change` finds to its tolerance: less is near rounding."""
+
 
 class LinearOperator:
     """(A x)_i = diag_i x_i + scale sum_j pair_ij (x_i - x_j), held as arrays that its owner fills.
@@ -95,17 +98,21 @@ class ConjugateGradient(_Solver):
         tolerance: stop at sqrt((r, r/A_ii)/(b, b/A_ii)) below this.
         max_iterations: stop after this many; Jacobi sweeps come in pairs.
         jacobi: relaxation factor omega of Appendix B; None for conjugate gradients.
+        of_change: stop where the residual is below `tolerance` of the first one: for a solve that changes x by little.
 
     Attributes:
         b: [n] right-hand side, filled by the owner.
         x: [n + boundary] solution; start value in. Boundary entries stay as they are (0).
     """
 
-    def __init__(self, operator, total, dtype, tolerance, max_iterations, jacobi: float | None = None):
+    def __init__(
+        self, operator, total, dtype, tolerance, max_iterations, jacobi: float | None = None, of_change: bool = False
+    ):
         stride = 1 if jacobi is None else 2
         super().__init__(operator.n, tolerance, max_iterations, operator.device, stride, dtype)
         self.operator = operator
         self.jacobi = jacobi
+        self.change = CHANGE if of_change else 0.0
         self.b, self.r, self.z, self.q = (wp.zeros(self.n, dtype=dtype, device=self.device) for _ in range(4))
         self.p = wp.zeros(total, dtype=dtype, device=self.device)
         self.x = wp.zeros(total, dtype=dtype, device=self.device)
@@ -115,10 +122,15 @@ class ConjugateGradient(_Solver):
         a = self.operator.arrays
         self._launch(k.invert_diagonal, a, [self.inverse])
         self._launch(k.start_residual, [self.x, self.b, *a, self.inverse], [self.r, self.z, self.p])
+        self._start()
         self._dot(self.r, self.z, self.part_a)
         self._launch(k.weighted_chunks, [self.b, self.b, self.inverse, self.n], [self.part_b], dim=CHUNKS)
-        self._launch(k.start_scalars, [self.part_a, self.part_b, self.control], [self.scalar, self.go], dim=1)
+        reference = [self.part_a, self.part_b, self.control, self.change]
+        self._launch(k.start_scalars, reference, [self.scalar, self.go], dim=1)
         self._repeat(self._iterate if self.jacobi is None else self._sweep)
+
+    def _start(self):
+        """Take from the first residual what the matrix has besides its operator."""
 
     def _iterate(self):
         self._apply()
@@ -191,7 +203,7 @@ class GasConjugateGradient(ConjugateGradient):
         self._precondition()
         copy(self.p, self.z)
         self._dot(self.r, self.z, self.part_a)
-        self._launch(k.start_scalars, [self.part_a, self.part_a, self.control], [self.scalar, self.go], dim=1)
+        self._launch(k.start_scalars, [self.part_a, self.part_a, self.control, 0.0], [self.scalar, self.go], dim=1)
         self._repeat(self._iterate)
 
     def _apply(self):
@@ -270,7 +282,7 @@ class RationalLaplacian(_Solver):
         self._launch(k.start_shifted, [self.b, self.area], [self.r, self.p, self.real, self.imag, self.y])
         self._launch(k.start_zeta, [], [self.zeta], dim=k.POLES)
         self._dot(self.r, self.r, self.part_a)
-        self._launch(k.start_scalars, [self.part_a, self.part_a, self.control], [self.scalar, self.go], dim=1)
+        self._launch(k.start_scalars, [self.part_a, self.part_a, self.control, 0.0], [self.scalar, self.go], dim=1)
         self._repeat(self._iterate)
         self._launch(k.unscale, [self.y, self.area], [self.x])
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warp as wp
+
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import boundary as kb
 from melp_warp.launch import launch
+from melp_warp.linear import ConjugateGradient
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
@@ -40,3 +43,45 @@ class Rim:
             [rim.mirror, e.x, e.normal],
             film.device,
         )
+
+
+class RimmedViscosity(ConjugateGradient):
+    """Conjugate gradients for the viscosity of a film with a rim: E are coupled with the images of E beyond it, too.
+
+    The images move as the boundary particles do (`Rim.mirror_velocity`), but are part of the matrix: it stays symmetric
+    and the solve implicit.
+    """
+
+    def __init__(self, film: Film, state: State, geometry: Geometry, operator):
+        numerics = film.numerics
+        super().__init__(operator, film.total, wp.vec3, numerics.tolerance, numerics.max_iterations, of_change=True)
+        self.film, self.state, self.geometry = film, state, geometry
+        self.walls = wp.zeros((film.n_e, 2), dtype=wp.vec4, device=film.device)
+        self._dt = film.zeros(1)
+
+    def prepare(self, dt: wp.array) -> None:
+        """Find the walls for a solve over dt [1], s."""
+        film, rim, self._dt = self.film, self.film.rim, dt
+        film.launch_e(
+            kb.find_walls_e,
+            [self.state.e.x, rim.anchors, rim.outward, self.operator.rows, film.n_e],
+            [self.walls],
+        )
+
+    def _couple(self, kernel, u: wp.array, inputs: list, outputs: list) -> None:
+        film, e = self.film, self.state.e
+        film.launch_e(
+            kernel,
+            [
+                *(u, e.x, e.mass, self.geometry.area, self.walls, self.operator.rows, film.r, film.n_e),
+                *(film.material.viscosity, self._dt, *inputs),
+            ],
+            outputs,
+        )
+
+    def _start(self):
+        self._couple(kb.start_walls_e, self.x, [self.inverse], [self.r, self.z, self.p])
+
+    def _apply(self):
+        super()._apply()
+        self._couple(kb.rub_walls_e, self.p, [], [self.q])

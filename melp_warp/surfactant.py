@@ -13,7 +13,7 @@ from melp_warp.kernels import surfactant as ks
 from melp_warp.launch import copy
 from melp_warp.linear import ConjugateGradient, LinearOperator
 from melp_warp.neighbors import NeighborLists
-from melp_warp.rim import Rim
+from melp_warp.rim import Rim, RimmedViscosity
 from melp_warp.settings import Setting
 from melp_warp.state import State
 
@@ -103,7 +103,15 @@ class Tangential:
             )
         self.viscous = None
         if film.features.viscous:
-            self.viscous = ConjugateGradient(operator, film.total, wp.vec3, numerics.tolerance, numerics.max_iterations)
+            self.viscous = self._make_viscous(operator)
+
+    def _make_viscous(self, operator: LinearOperator) -> ConjugateGradient:
+        film, numerics = self.film, self.film.numerics
+        if film.features.rim:
+            return RimmedViscosity(film, self.state, self.geometry, operator)
+        return ConjugateGradient(
+            operator, film.total, wp.vec3, numerics.tolerance, numerics.max_iterations, of_change=True
+        )
 
     def prepare(self, dt: float) -> None:
         """Set what depends on the step dt (s) to come."""
@@ -219,5 +227,7 @@ class Tangential:
             ],
             [solver.operator.diag, solver.operator.pair, solver.b, solver.x],
         )
+        if self.film.features.rim:
+            solver.prepare(dt)
         solver.solve()
         film.launch_e(ks.replace_tangential_e, [solver.x, e.normal], [e.u])
