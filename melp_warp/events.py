@@ -137,12 +137,11 @@ class Events:
 
     def _new_bubble(self, label: int, simulation: Simulation) -> tuple[dict, float]:
         scene, film, bubble = simulation.scene, simulation.film, self.cluster.bubbles[label]
-        thickness = np.nan if bubble.thickness is None else bubble.thickness
         particles = {}
         for kind, count, offset in (("e", 1, 0.0), ("l", scene.l_per_e, 0.5)):
             if count:
                 s = self.cluster.sample_bubble(label, film.spacing**2 / count, offset)
-                eta, mass, amount = liquid(scene, s.points, s.area, np.full(len(s.points), thickness))
+                eta, mass, amount = liquid(scene, s.points, s.area, np.full(len(s.points), label))
                 velocity = np.broadcast_to(np.array(bubble.velocity), s.points.shape)
                 particles[kind] = {
                     "x": s.points - simulation.state.origin,

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+BLACK_FILM = 12.0
+"""Thickness up to which a film is Newton black film, nm: in equilibrium it is 4 to 12 nm thick."""
+
 
 @dataclass
 class ParticleFrame:
@@ -13,13 +16,13 @@ class ParticleFrame:
 
     Attributes:
         points: [n, 3] float32, m, from `origin`.
-        velocities: [n, 3] float32, m/s (material velocity).
+        velocities: [n, 3] float32, m/s: d(points)/dt. L move with the liquid, E with the surface, past which it flows.
         ids: [n] int64, stable over the run, ascending.
         widths: [n] float32, m, particle diameter for display.
         normals: [n, 3] float32, outward unit normals.
         thickness: [n] float32, nm.
         region: [n] int32, index of the film region.
-        black_film: [n] int32, 1 where the particle is Newton black film.
+        black_film: [n] int32, 1 where the film is at most `BLACK_FILM` thick, else 0.
         origin: where the points are measured from, m; the same in all frames of a run.
     """
 

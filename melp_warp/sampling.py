@@ -32,6 +32,9 @@ SUM_STEPS = 4
 SINGLE_ROOM = 2.0
 """Room of the lists of a single layer over that of MELP: where a film gets thicker, its particles get denser."""
 
+THICKEST = 1e-3
+"""Largest thickness that a scene may start with, m: what is thicker is no film, water forms drops of 3 mm."""
+
 FAR = 4.0
 """Distance of a film from the origin, in its own sizes, from which on positions are measured from the film."""
 
@@ -49,12 +52,11 @@ def _field(function, points: np.ndarray, default: float, name: str, width: int =
     return values
 
 
-def _positive(values: np.ndarray, points: np.ndarray, name: str, at_least_zero: bool = False) -> np.ndarray:
-    bad = values < 0.0 if at_least_zero else values <= 0.0
+def _refuse(bad: np.ndarray, values: np.ndarray, points: np.ndarray, name: str, allowed: str) -> None:
+    """Raise for the first of `points` [n, 3] where a field is `bad` [n]."""
     if np.any(bad):
         i = int(np.argmax(bad))
-        raise InputError(f"{name} must be above 0 everywhere, got {values[i]:.3g} at {points[i].tolist()}")
-    return values
+        raise InputError(f"{name} must be {allowed} everywhere, got {values[i]:.3g} at {points[i].tolist()}")
 
 
 def _check_resolution(scene: Scene, spacing: float) -> None:
@@ -290,47 +292,56 @@ def _set_masses(scene: Scene, stepper: Stepper) -> None:
         _share_sums(stepper)
     if state.l is None:
         points = state.e.x.numpy()[: film.n_e] + state.origin
-        own = _own_thickness(scene, state.e.region.numpy()[: film.n_e])
-        _, mass, amount = liquid(scene, points, stepper.geometry.area.numpy(), own)
+        bubbles = _bubble_of(scene, state.e.region.numpy()[: film.n_e])
+        _, mass, amount = liquid(scene, points, stepper.geometry.area.numpy(), bubbles)
         state.e.mass.assign(mass)
         state.e.surfactant.assign(amount)
         return
     _share_area(stepper)
     lag = state.l
     points, area = lag.x.numpy() + state.origin, 1.0 / lag.eta.numpy().astype(np.float64)
-    eta, mass, amount = liquid(scene, points, area, _own_thickness(scene, lag.region.numpy()))
+    eta, mass, amount = liquid(scene, points, area, _bubble_of(scene, lag.region.numpy()))
     lag.eta.assign(eta)
     lag.mass.assign(mass)
     lag.surfactant.assign(amount)
     stepper.transfer.gather()
 
 
-def liquid(scene: Scene, points: np.ndarray, area: np.ndarray, own: np.ndarray):
+def liquid(scene: Scene, points: np.ndarray, area: np.ndarray, bubbles: np.ndarray | None = None):
     """Thickness (m), mass (kg) and surfactant (mol) of particles that stand for `area`, all [n].
 
     Args:
         scene: its fields say what the film is like.
         points: [n, 3] m.
         area: [n] m^2.
-        own: [n] thickness that a bubble has of its own, m; nan where it is the scene's.
+        bubbles: [n] the scene's number of the bubble that each belongs to, which may have a thickness and a tension of
+            its own; None for a single film.
 
     Raises:
-        InputError: the scene's fields are not finite and positive there.
+        InputError: the scene's fields are not finite and positive there, or the surfactant leaves no tension.
     """
     m = scene.material
-    eta = _field(scene.thickness, points, m.thickness, "thickness")
-    eta = _positive(np.where(np.isnan(own), eta, own), points, "thickness")
-    gamma = _field(scene.concentration, points, m.surfactant, "surfactant")
-    _positive(gamma, points, "surfactant", at_least_zero=True)
+    eta = _field(scene.thickness, points, m.thickness, "thickness").copy()
+    tension = np.full(len(points), m.tension)
+    for k in () if bubbles is None else np.unique(bubbles):
+        bubble, own = scene.shape.bubbles[k], bubbles == k
+        tension[own] *= bubble.tension
+        if bubble.thickness is not None:
+            eta[own] = bubble.thickness
+    _refuse(eta <= 0.0, eta, points, "thickness", "above 0 m")
+    _refuse(eta > THICKEST, eta, points, "thickness", f"at most {THICKEST:g} m")
+    name = "surfactant" if scene.concentration is None else "concentration"
+    gamma = _field(scene.concentration, points, m.surfactant, name)
+    _refuse(gamma < 0.0, gamma, points, name, "at least 0 mol/m^2")
+    most = tension / m.rt
+    bound = f"below tension/(R T) = {most.min():.3g} mol/m^2"
+    _refuse(gamma >= most, gamma, points, name, bound)
     return eta, m.density * eta * area, gamma * area
 
 
-def _own_thickness(scene: Scene, region: np.ndarray) -> np.ndarray:
-    own = np.full(len(region), np.nan)
-    for k, bubble in _bubbles(scene):
-        if bubble.thickness is not None:
-            own[region == k] = bubble.thickness
-    return own
+def _bubble_of(scene: Scene, region: np.ndarray) -> np.ndarray | None:
+    """[n] the scene's number of the bubble of each region [n]; None for a single film."""
+    return np.array(scene.shape.initial)[region] if isinstance(scene.shape, Cluster) else None
 
 
 def _bubbles(scene: Scene):

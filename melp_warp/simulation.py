@@ -13,7 +13,7 @@ from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationErro
 from melp_warp.events import Events
 from melp_warp.files import load_arrays, save_arrays
 from melp_warp.film import Film
-from melp_warp.frame import ParticleFrame
+from melp_warp.frame import BLACK_FILM, ParticleFrame
 from melp_warp.interrupt import let_through
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
@@ -351,23 +351,36 @@ class Simulation:
         else:
             self.stepper.fields.update()
             e = self.state.e
-            x, v, normal = (a.numpy()[:n] for a in (e.x, e.u, e.normal))
+            x, v, normal = e.x.numpy()[:n], self._e_velocity(), e.normal.numpy()[:n]
             eta, area = self.stepper.fields.eta.numpy(), self.stepper.geometry.area.numpy()
         source = self.state.l if which == "l" else self.state.e
         region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
         ids = self._ids[which]
         order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
+        thickness = (eta * 1e9).astype(np.float32)[order]
         return ParticleFrame(
             points=(x + (self.state.origin - self.origin)).astype(np.float32)[order],
             velocities=v.astype(np.float32)[order],
             ids=ids[order].astype(np.int64),
             widths=np.sqrt(4.0 / np.pi * area).astype(np.float32)[order],
             normals=normal.astype(np.float32)[order],
-            thickness=(eta * 1e9).astype(np.float32)[order],
+            thickness=thickness,
             region=region[order],
-            black_film=np.zeros(n, dtype=np.int32),
+            black_film=(thickness <= BLACK_FILM).astype(np.int32),
             origin=tuple(self.origin.tolist()),
         )
+
+    def _e_velocity(self) -> np.ndarray:
+        """[n_e, 3] m/s at which the E themselves move, (19): with the surface, while the liquid flows past them."""
+        film, e, n = self.film, self.state.e, self.film.n_e
+        u = e.u.numpy()[:n]
+        if film.features.single:
+            return u
+        if not film.features.moving:
+            return np.zeros_like(u)
+        normal = e.normal.numpy()[:n]
+        along = e.drift.numpy() + self.state.motion.numpy()[e.region.numpy()[:n]]
+        return along + np.sum((u - along) * normal, axis=1, keepdims=True) * normal
 
     def diagnostics(self) -> dict:
         """Everything worth a line of the run's log; plain numbers (reads back)."""

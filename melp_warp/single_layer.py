@@ -18,12 +18,13 @@ from melp_warp.launch import copy, launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 from melp_warp.stepper import Stepper
+from melp_warp.surfactant import Fields
 
 VISCOUS_REACH = 0.2
 """nu dt/dx^2 up to which explicit viscosity is stable, at a CFL number of 1."""
 
 
-class SummedFields:
+class SummedFields(Fields):
     """Thickness and relative surfactant concentration as sums over the particles.
 
     Attributes:

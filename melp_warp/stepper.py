@@ -253,7 +253,7 @@ class Stepper:
     def remark(self, notices: Notices) -> None:
         """Have the stages note what must be known of the steps since this was last asked (reads back)."""
         stages = (self.rim, self.transfer, self.membrane, self.tangential, self.redistribution, self.l_advance)
-        for stage in stages:
+        for stage in (self.fields, *stages):
             if hasattr(stage, "remark"):
                 stage.remark(notices)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import warp as wp
 
 from melp_warp.film import Film
@@ -13,6 +14,7 @@ from melp_warp.kernels import surfactant as ks
 from melp_warp.launch import copy
 from melp_warp.linear import ConjugateGradient, LinearOperator
 from melp_warp.neighbors import NeighborLists
+from melp_warp.notices import Notices
 from melp_warp.rim import Rim, RimmedViscosity
 from melp_warp.settings import Setting
 from melp_warp.state import State
@@ -43,6 +45,23 @@ class Fields:
             [e.mass, e.surfactant, self.geometry.area, m.density, m.surfactant],
             [self.eta, self.gamma],
         )
+
+    def remark(self, notices: Notices) -> None:
+        """Note where so much surfactant has gathered that no tension is left (reads back)."""
+        film, m = self.film, self.film.material
+        if m.surfactant == 0.0:
+            return
+        self.update()
+        gamma = self.gamma.numpy().astype(np.float64)
+        tension = film.tension.numpy()[self.state.e.region.numpy()[: film.n_e]].astype(np.float64)
+        sigma = tension - film.slope * gamma
+        i = int(np.argmin(sigma))
+        if sigma[i] < 0.0:
+            text = (
+                f"E {i} has {m.surfactant * gamma[i]:.3g} mol/m^2 of surfactant, more than sigma_0/(R T) ="
+                f" {tension[i] / m.rt:.3g} mol/m^2: its tension, {sigma[i]:.3g} N/m, is below 0"
+            )
+            notices.note("no tension left", -float(sigma[i]), text)
 
 
 def fastest_rate(film: Film) -> float:
