@@ -8,6 +8,8 @@ from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangential
 
 wp.set_module_options({"enable_backward": False})
 
+vec5d = wp.types.vector(length=5, dtype=wp.float64)
+
 SQUARE = wp.constant(0.5)
 """Cosine between the directions across two walls below which they are two, not one that bends."""
 
@@ -86,14 +88,129 @@ def confine_l(
     outward: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     n_e: int,
+    gravity: wp.vec3,
+    hold: float,
     # outputs
     x_l: wp.array(dtype=wp.vec3),
+    u_l: wp.array(dtype=wp.vec3),
+    v_l: wp.array(dtype=wp.vec3),
+    mass_l: wp.array(dtype=float),
+    surfactant_l: wp.array(dtype=float),
+    collected: wp.array(dtype=wp.vec2),
+    impulse: wp.array(dtype=wp.vec3),
 ):
-    """Put L that have crossed the rim back onto it. [n_l], m. Boundary particles, if any, are last in a row."""
+    """Put L that have crossed the rim back onto it; the rim takes what drives them out.
+
+    Where the weight of an L pulls it across the rim and its surfactant cannot hold it off within a spacing, 2 R T c <
+    spacing m g.o, its liquid goes into the border behind the rim. Any other L loses the part of its velocity across the
+    rim, but no more than it carries: what it carries is the mean around it, which may stop at the rim already.
+
+    Args:
+        anchors: [n_b] nearest points of the rim, m.
+        outward: [n_b] unit vectors o across the rim.
+        rows: L:E neighbours; boundary particles, if any, are last in a row.
+        n_e: number of E; boundary particle b is entry n_e + b of a row.
+        gravity: m/s^2.
+        hold: 2 R T/spacing, J/(mol m).
+        x_l: [n_l] m.
+        u_l: [n_l] carried velocity, m/s.
+        v_l: [n_l] velocity at the particle, m/s.
+        mass_l: [n_l] kg.
+        surfactant_l: [n_l] mol, of one interface.
+        collected: [n_l] mass and surfactant that went into the border, added to; kg, mol.
+        impulse: [n_l] momentum that the rim took, added to; kg m/s.
+    """
     i = rows.first + wp.tid()
     if rows.stop[i] == rows.start[i] or rows.index[rows.stop[i] - 1] < n_e:
         return
-    x_l[i] = x_l[i] + inside_rim(i, x_l[i], anchors, outward, rows, n_e)
+    back = inside_rim(i, x_l[i], anchors, outward, rows, n_e)
+    depth = wp.length(back)
+    if depth == 0.0:
+        return
+    x_l[i] = x_l[i] + back
+    o = -back / depth
+    m = mass_l[i]
+    c = surfactant_l[i]
+    if m > 0.0 and hold * c < m * wp.dot(gravity, o):
+        collected[i] = collected[i] + wp.vec2(m, c)
+        impulse[i] = impulse[i] + m * u_l[i]
+        mass_l[i] = 0.0
+        surfactant_l[i] = 0.0
+        u_l[i] = wp.vec3()
+        v_l[i] = wp.vec3()
+        return
+    lost = wp.max(wp.min(wp.dot(v_l[i], o), wp.dot(u_l[i], o)), 0.0)
+    u_l[i] = u_l[i] - lost * o
+    v_l[i] = v_l[i] - lost * o
+    impulse[i] = impulse[i] + m * lost * o
+
+
+@wp.kernel
+def take_pull_e(
+    traction: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    dt: wp.array(dtype=float),
+    # outputs
+    impulse: wp.array(dtype=wp.vec3),
+):
+    """Add to what the rim takes that of the tension: liquid that it drives pushes the rim the other way. [n_e], kg m/s.
+
+    Where there is no liquid there is nothing to drive.
+    """
+    i = wp.tid()
+    if mass[i] > 0.0:
+        impulse[i] = impulse[i] - dt[0] * area[i] * traction[i]
+
+
+@wp.kernel
+def take_friction_e(
+    friction: wp.array(dtype=wp.vec3),
+    theta: wp.array(dtype=float),
+    # outputs
+    impulse: wp.array(dtype=wp.vec3),
+):
+    """The same of the viscosity, from `rub_walls_e` over theta dt. [n_e], kg m/s."""
+    i = wp.tid()
+    impulse[i] = impulse[i] + friction[i] / theta[0]
+
+
+@wp.kernel
+def taken_chunks(
+    collected: wp.array(dtype=wp.vec2),
+    impulse_l: wp.array(dtype=wp.vec3),
+    impulse_e: wp.array(dtype=wp.vec3),
+    # outputs
+    part: wp.array(dtype=vec5d),
+):
+    """Parts of what the rim has taken: mass, surfactant and momentum, kg, mol, kg m/s."""
+    c = wp.tid()
+    n = impulse_l.shape[0]
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    s = vec5d()
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        s[0] += wp.float64(collected[i][0])
+        s[1] += wp.float64(collected[i][1])
+        for k in range(3):
+            s[2 + k] += wp.float64(impulse_l[i][k])
+    n = impulse_e.shape[0]
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        for k in range(3):
+            s[2 + k] += wp.float64(impulse_e[i][k])
+    part[c] = s
+
+
+@wp.kernel
+def add_taken(
+    part: wp.array(dtype=vec5d),
+    # outputs
+    border: wp.array(dtype=wp.float64),
+):
+    """Add the parts to what the border holds and the rim has taken, see `state.BORDER_SLOTS`."""
+    for c in range(part.shape[0]):
+        for k in range(5):
+            border[k] = border[k] + part[c][k]
 
 
 @wp.kernel

@@ -22,7 +22,7 @@ def summarize_chunks(
     """Parts of the sums and extremes of a particle set.
 
     Slots: 0 mass, 1 surfactant, 2-4 momentum, 5 kinetic energy, 6 max speed^2, 7 min eta, 8 max eta, 9 sum eta a,
-    10 sum a, 11 sum eta^2 a, with the area a = m/(rho eta).
+    10 sum a, 11 sum eta^2 a, with the area a = m/(rho eta). Particles without mass are not there.
 
     Args:
         mass: [n] kg.
@@ -50,9 +50,10 @@ def summarize_chunks(
         s[3] += m * wp.float64(p[1])
         s[4] += m * wp.float64(p[2])
         s[5] += wp.float64(0.5) * m * vv
-        s[6] = wp.max(s[6], vv)
-        s[7] = wp.min(s[7], h)
-        s[8] = wp.max(s[8], h)
+        if mass[i] > 0.0:
+            s[6] = wp.max(s[6], vv)
+            s[7] = wp.min(s[7], h)
+            s[8] = wp.max(s[8], h)
         s[9] += h * a
         s[10] += a
         s[11] += h * h * a

@@ -7,7 +7,6 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import advance as ka
-from melp_warp.kernels import boundary as kb
 from melp_warp.kernels import redistribute as kr
 from melp_warp.launch import copy
 from melp_warp.linear import ConjugateGradient, LinearOperator
@@ -106,7 +105,7 @@ class LagrangianAdvance:
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
 
     def advance(self, frame: wp.array, passed: wp.array, bend: wp.array, dt: wp.array) -> None:
-        """Move L by dt (v + frame - passed), put them onto the surface, keep them inside the rim (Algorithm 7).
+        """Move L by dt (v + frame - passed), put them onto the surface (Algorithm 7).
 
         `bend` [1] is that of their paths, 0 to 1.
         """
@@ -114,12 +113,6 @@ class LagrangianAdvance:
         film.launch_l(ka.advance_l, [lag.v, lag.affine, lag.normal, lag.region, frame, passed, bend, dt], [lag.x])
         if film.features.moving:
             self.project()
-        if film.rim is not None:
-            film.launch_l(
-                kb.confine_l,
-                [film.rim.anchors, film.rim.outward, self.lists.le.rows, film.n_e],
-                [lag.x],
-            )
 
     def project(self) -> None:
         """Put L on the surface through E."""

@@ -17,6 +17,7 @@ class Features:
         moving: the surface moves (normal dynamics, E advance and redistribution).
         lagrangian: there are L: transfers, tangential dynamics, L advance.
         rim: there are boundary particles.
+        collects: the rim takes momentum from the L, and liquid that nothing holds off it.
         marangoni: there is surfactant, so (14) takes part.
         viscous: in-plane viscosity.
         recoils: the film is closed and its uneven tension pushes liquid along it, so it moves the other way.
@@ -32,6 +33,7 @@ class Features:
     moving: bool
     lagrangian: bool
     rim: bool
+    collects: bool
     marangoni: bool
     viscous: bool
     recoils: bool
@@ -56,6 +58,7 @@ class Features:
             moving=moving,
             lagrangian=lagrangian,
             rim=not scene.shape.closed,
+            collects=lagrangian and not scene.shape.closed,
             marangoni=marangoni,
             recoils=marangoni and scene.shape.closed and not foam,
             viscous=(lagrangian or single) and scene.material.viscosity > 0.0,

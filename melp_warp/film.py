@@ -16,6 +16,9 @@ from melp_warp.numerics import Numerics
 CONTACT_REACH = 2.5
 """Distance along the sheets within which facing E of different regions act on each other, spacings."""
 
+THICKEST = 1e-3
+"""Thickness beyond which water is no film, m: scenes do not start with it, and runs that come to it say so."""
+
 CHUNKS = 64
 """Number of parts in which the sums over a single region are taken; more regions share them, at least four each."""
 

@@ -7,17 +7,30 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import boundary as kb
-from melp_warp.launch import launch
+from melp_warp.launch import clear, launch
 from melp_warp.linear import ConjugateGradient
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
 
 class Rim:
-    """The pinned rim of an open film. Made only for films that have one."""
+    """The pinned rim of an open film. Made only for films that have one.
+
+    With L it takes momentum from the flow along the film, and collects liquid that nothing holds off it: summed up
+    particle by particle, and added to `State.border` by `settle`.
+
+    Attributes:
+        impulse_e, impulse_l: [n_e], [n_l] momentum taken since the last `settle`, kg m/s; None without L.
+        collected: [n_l] mass and surfactant taken, kg, mol.
+    """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        self.impulse_e, self.impulse_l, self.collected = None, None, None
+        if film.features.collects:
+            self.impulse_e, self.impulse_l = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_l, wp.vec3)
+            self.collected = film.zeros(film.n_l, wp.vec2)
+            self._part = film.parts(kb.vec5d)
 
     def mirror_velocity(self) -> None:
         """Give boundary particles the velocity of their mirror points: no motion of the rim, free slip along it."""
@@ -29,6 +42,35 @@ class Rim:
             [e.u],
             film.device,
         )
+
+    def confine(self) -> None:
+        """Keep L inside the rim, which takes what drives them out."""
+        film, lag, rim = self.film, self.state.l, self.film.rim
+        film.launch_l(
+            kb.confine_l,
+            [
+                *(rim.anchors, rim.outward, self.lists.le.rows, film.n_e),
+                *(film.gravity, 2.0 * film.material.rt / film.spacing),
+            ],
+            [lag.x, lag.u, lag.v, lag.mass, lag.surfactant, self.collected, self.impulse_l],
+        )
+
+    def take_pull(self, traction: wp.array, dt: wp.array) -> None:
+        """Count the tension of a step of dt [1] s: `traction` [n_e] drives the liquid, Pa, and pulls at the rim."""
+        inputs = [traction, self.state.e.mass, self.geometry.area, dt]
+        self.film.launch_e(kb.take_pull_e, inputs, [self.impulse_e])
+
+    def take_friction(self, friction: wp.array, theta: wp.array) -> None:
+        """Count the friction [n_e] of walls over the share theta [1] of a step, kg m/s."""
+        self.film.launch_e(kb.take_friction_e, [friction, theta], [self.impulse_e])
+
+    def settle(self) -> None:
+        """Add what was taken since the last time to the state. Between steps."""
+        film = self.film
+        film.launch_parts(kb.taken_chunks, [self.collected, self.impulse_l, self.impulse_e], [self._part])
+        film.launch_one(kb.add_taken, [self._part], [self.state.border])
+        for array in (self.collected, self.impulse_l, self.impulse_e):
+            clear(array)
 
     def extend(self) -> None:
         """Let the boundary particles follow a moving film; the fits are moved with their particles and a step old."""
@@ -58,6 +100,12 @@ class RimmedViscosity(ConjugateGradient):
         self.film, self.state, self.geometry = film, state, geometry
         self.walls = wp.zeros((film.n_e, 2), dtype=wp.vec4, device=film.device)
         self._dt = film.zeros(1)
+
+    def friction(self) -> wp.array:
+        """Momentum that the walls have taken in the last solve, by E. [n_e], kg m/s."""
+        clear(self.q)
+        self._couple(kb.rub_walls_e, self.x, [], [self.q])
+        return self.q
 
     def prepare(self, dt: wp.array) -> None:
         """Find the walls for a solve over dt [1], s."""

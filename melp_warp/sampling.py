@@ -11,13 +11,13 @@ import warp as wp
 from melp_warp.cluster import Cluster, Wall
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
-from melp_warp.film import Film, RimArrays
+from melp_warp.film import THICKEST, Film, RimArrays
 from melp_warp.kernels import transfer as kt
 from melp_warp.launch import compile_kernels
 from melp_warp.scene import Scene
 from melp_warp.shapes import Samples
 from melp_warp.single_layer import make_stepper
-from melp_warp.state import GAS_SLOTS, EulerianState, LagrangianState, State, allocate, state_origin
+from melp_warp.state import BORDER_SLOTS, GAS_SLOTS, EulerianState, LagrangianState, State, allocate, state_origin
 from melp_warp.stepper import NoFilm, Stepper
 
 RELAXATION_STEPS = 30
@@ -31,9 +31,6 @@ SUM_STEPS = 4
 
 SINGLE_ROOM = 2.0
 """Room of the lists of a single layer over that of MELP: where a film gets thicker, its particles get denser."""
-
-THICKEST = 1e-3
-"""Largest thickness that a scene may start with, m: what is thicker is no film, water forms drops of 3 mm."""
 
 FAR = 4.0
 """Distance of a film from the origin, in its own sizes, from which on positions are measured from the film."""
@@ -198,7 +195,9 @@ def _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, dev
     """Film and state around particles; `labels` are the scene's numbers of the regions."""
     regions = len(labels)
     gas = wp.zeros((regions, len(GAS_SLOTS)), dtype=wp.float64, device=device)
-    state = State(e, lagrangian, gas, wp.zeros(regions, dtype=wp.vec3, device=device), origin)
+    motion = wp.zeros(regions, dtype=wp.vec3, device=device)
+    border = wp.zeros(len(BORDER_SLOTS), dtype=wp.float64, device=device) if features.collects else None
+    state = State(e, lagrangian, gas, motion, border, origin)
     counts = np.bincount(e.region.numpy()[: e.count], minlength=regions)
     factor = [scene.shape.bubbles[k].tension for k in labels] if features.foam else [1.0]
     tension = scene.material.tension * np.array(factor, dtype=wp.dtype_to_numpy(wp.float32))

@@ -168,6 +168,7 @@ class Simulation:
         self.state.frame += 1
         self.state.time = end
         self._cap *= 2.0
+        self.stepper.settle()
         self._remark()
         self._recentre()
         self._snapshot.save(self.state)
@@ -195,6 +196,8 @@ class Simulation:
                 self._check()
             self._change_regions()
         self._check()
+        if self.has_l and not self.gone:
+            self.stepper.transfer.check()
 
     def _check(self) -> None:
         """Raise if the steps of this frame went wrong (reads back)."""
@@ -348,6 +351,7 @@ class Simulation:
             lag = self.state.l
             x, v, normal, eta = (a.numpy() for a in (lag.x, lag.v, lag.normal, lag.eta))
             area = lag.mass.numpy() / (self.scene.material.density * eta)
+            there = area > 0.0  # the rim has collected the liquid of the others
         else:
             self.stepper.fields.update()
             e = self.state.e
@@ -357,6 +361,8 @@ class Simulation:
         region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
         ids = self._ids[which]
         order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
+        if which == "l" and self.film.features.collects:
+            order = np.flatnonzero(there)
         thickness = (eta * 1e9).astype(np.float32)[order]
         return ParticleFrame(
             points=(x + (self.state.origin - self.origin)).astype(np.float32)[order],
@@ -387,6 +393,7 @@ class Simulation:
         film, state, stepper = self.film, self.state, self.stepper
         if self.gone:
             return self._diagnostics_of_nothing()
+        stepper.settle()
         stepper.fields.update()
         sums = self._sums()
         gas = state.gas.numpy()
@@ -403,16 +410,14 @@ class Simulation:
             "volume": float(gas[:, 0].sum()) if closed else None,
             "pressure": float(gas[0, 1]) if closed else None,
             **(self._foam_diagnostics(gas) if film.features.foam else {}),
+            **(self._border_diagnostics() if film.features.collects else {}),
             "mass": sums[0],
             "surfactant": sums[1],
             "momentum": sums[2:5].tolist(),
             "kinetic_energy": sums[5],
             "surface_energy": self._surface_energy(),
             "max_speed": math.sqrt(sums[6]),
-            "thickness_min": sums[7] * 1e9,
-            "thickness_mean": sums[9] / sums[10] * 1e9,
-            "thickness_max": sums[8] * 1e9,
-            "thickness_std": math.sqrt(max(sums[11] / sums[10] - (sums[9] / sums[10]) ** 2, 0.0)) * 1e9,
+            **self._thickness_diagnostics(sums),
             "e_spread": float(stepper.redistribution.spread.numpy()[:, 0].max()) if stepper.redistribution else 0.0,
             "lost": len(stepper.lists.strays),
             "notices": dict(self.notices.of_frame),
@@ -443,6 +448,21 @@ class Simulation:
             "notices": dict(self.notices.of_frame),
             "wall_ms": {},
         }
+
+    @staticmethod
+    def _thickness_diagnostics(sums: np.ndarray) -> dict:
+        """Thickness in nm; None where the rim has collected all liquid."""
+        names = [f"thickness_{name}" for name in ("min", "mean", "max", "std")]
+        if sums[10] == 0.0:
+            return dict.fromkeys(names)
+        mean, square = sums[9] / sums[10], sums[11] / sums[10]
+        values = (sums[7], mean, sums[8], math.sqrt(max(square - mean**2, 0.0)))
+        return {name: 1e9 * value for name, value in zip(names, values, strict=True)}
+
+    def _border_diagnostics(self) -> dict:
+        """Liquid (kg) and surfactant (mol) that the rim has collected, momentum that it has taken (kg m/s)."""
+        border = self.state.border.numpy().tolist()
+        return {"border_mass": border[0], "border_surfactant": border[1], "rim_impulse": border[2:]}
 
     def _foam_diagnostics(self, gas: np.ndarray) -> dict:
         return {
@@ -496,6 +516,7 @@ class Simulation:
         The run goes on from what was written, lists and first guesses made anew: a run that loads the file goes on the
         same, bit for bit on the CPU.
         """
+        self.stepper.settle()
         save_arrays(path, {**self.state.numpy(), **self._foam_record()})
         self.renew()
 

@@ -9,6 +9,8 @@ import warp as wp
 
 GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area", "offset")
 
+BORDER_SLOTS = ("mass", "surfactant", "impulse_x", "impulse_y", "impulse_z")
+
 
 def _array(dtype):
     return field(metadata={"dtype": dtype})
@@ -92,6 +94,9 @@ class State:
         gas: [regions, 6] float64, see `GAS_SLOTS`: volume (m^3), gauge pressure (Pa), amount n0 R T (J), pressure
             increment of the last step (Pa), area (m^2), normal offset that closed the volume in the last step (m).
         motion: [regions] velocity of a closed film as a whole, m/s: it changes by outside forces alone.
+        border: [5] float64, see `BORDER_SLOTS`: liquid (kg) and surfactant of one interface (mol) that the rim of an
+            open film has collected, and the momentum that it has taken from the flow along the film, kg m/s; None
+            without a rim or without L.
         origin: [3] float64, m: where positions are measured from. They are float32, which resolves 1e-7 of a distance:
             of that from the film, not from the world's origin.
         time: s.
@@ -102,6 +107,7 @@ class State:
     l: LagrangianState | None  # noqa: E741
     gas: wp.array
     motion: wp.array
+    border: wp.array | None = None
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     time: float = 0.0
     frame: int = 0
@@ -111,7 +117,8 @@ class State:
         named = {f"e.{k}": a for k, a in _arrays(self.e).items()}
         if self.l is not None:
             named |= {f"l.{k}": a for k, a in _arrays(self.l).items()}
-        return named | {"gas": self.gas, "motion": self.motion}
+        named |= {"gas": self.gas, "motion": self.motion}
+        return named if self.border is None else named | {"border": self.border}
 
     def numpy(self) -> dict[str, np.ndarray]:
         """All arrays and scalars as NumPy copies, as a checkpoint stores them."""

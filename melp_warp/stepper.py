@@ -217,6 +217,8 @@ class Stepper:
         if self.film.features.moving:
             self.membrane.find_motion_at(self.tangential.theta)
         self.l_advance.advance(self.frame, self.passed, self.tangential.bend, self.dt.array)  # Algorithm 7
+        if self.rim is not None:
+            self.rim.confine()
         self.lists.record_l(self.at_rest, self.dt.array)
         self._guard_l("advance_l")
 
@@ -250,6 +252,11 @@ class Stepper:
         if self.film.features.foam:
             self.membrane.check()
 
+    def settle(self) -> None:
+        """Bring the state up to date with what stages sum up over several steps."""
+        if self.film.features.collects:
+            self.rim.settle()
+
     def remark(self, notices: Notices) -> None:
         """Have the stages note what must be known of the steps since this was last asked (reads back)."""
         stages = (self.rim, self.transfer, self.membrane, self.tangential, self.redistribution, self.l_advance)
@@ -268,6 +275,9 @@ class NoFilm:
     def step(self, dt: float) -> None:
         """Let dt (s) pass."""
         self.state.time += dt
+
+    def settle(self) -> None:
+        """There is nothing to bring up to date."""
 
     def remark(self, notices: Notices) -> None:
         """There is nothing to note."""

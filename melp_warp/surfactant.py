@@ -71,6 +71,23 @@ def fastest_rate(film: Film) -> float:
     return max(decay, 0.5 * math.pi * math.sqrt(film.stiffness / m.thickness) / dx)
 
 
+def drainage_length(film: Film, state: State) -> float:
+    """Height over which a film at rest gets e times as thick, 2 R T Gamma/(rho g eta) of all its liquid, m.
+
+    g is the weight along the film where it is steepest; a bubble that falls freely, without air, feels what `lift`
+    holds back alone. Infinite without weight, 0 without surfactant. Reads back.
+    """
+    g = np.array(film.surroundings.gravity)
+    if film.features.closed and not film.features.foam and not film.features.air:
+        g = g * film.surroundings.lift
+    normal = state.e.normal.numpy()[: film.n_e].astype(np.float64)
+    steepest = float(np.linalg.norm(g - (normal @ g)[:, None] * normal, axis=1).max(initial=0.0))
+    mass, amount = (array.numpy().sum(dtype=np.float64) for array in (state.l.mass, state.l.surfactant))
+    if steepest <= 1e-6 * np.linalg.norm(g) or mass == 0.0:
+        return math.inf
+    return 2.0 * film.material.rt * float(amount) / (steepest * float(mass))
+
+
 class Tangential:
     """Tangential dynamics. Made only for films with L.
 
@@ -84,11 +101,13 @@ class Tangential:
         theta: [1] share of the step that is solved for.
         bend: [1] of the paths of L: 1 for second order; such that a vortex neither gains nor loses by it,
             2 (1 - theta), unless `l_order` is 2.
+        drainage_length: m, see `drainage_length`; None before it was first asked for.
         dilation: [n_e] div_s u, 1/s: before the solve, then where `find_dilation` was called.
         before: [n] velocity of E at the start of the step, m/s; None where L do not look back at it.
         wind: [regions] velocity of the air along the film, m/s: that of the film as a whole where drag on the whole is
             told apart; None for air at rest.
-        traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where the film does not recoil.
+        traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where neither the film recoils
+            nor a rim is pulled at.
     """
 
     def __init__(
@@ -111,7 +130,9 @@ class Tangential:
         self._shear, self._shears = film.zeros(film.n_e), film.parts()
         self.before = film.zeros(film.total, wp.vec3) if film.numerics.looks_back else None
         self.wind = state.motion if film.features.dragged else None
-        self.traction = film.zeros(film.n_e, wp.vec3) if film.features.recoils else None
+        pulls = film.features.recoils or (film.features.collects and film.features.marangoni)
+        self.traction = film.zeros(film.n_e, wp.vec3) if pulls else None
+        self.drainage_length: float | None = None
         numerics = film.numerics
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
         self.solver = None
@@ -138,6 +159,22 @@ class Tangential:
         self._least.at(max(1.0 / 2.0, 2.0 / 3.0 - 1.0 / stiff) if self.midpoint else 1.0)
         self._most.at(max(1.0 / 2.0, 2.0 / 3.0 - 1.0 / 3.0 / stiff) if self.midpoint else 1.0)
 
+    def remark(self, notices: Notices) -> None:
+        """Note where weight packs the liquid more tightly than the E can see."""
+        film = self.film
+        if self.drainage_length is None:
+            self.drainage_length = drainage_length(film, self.state)
+        length = self.drainage_length
+        if length >= film.spacing:
+            return
+        need = f"at least {math.ceil(film.n_e * (film.spacing / length) ** 2):,} E see it" if length else "no E see it"
+        fate = "what reaches the rim goes into its border" if film.features.collects else "it gathers on single E"
+        text = (
+            f"the drainage length 2 R T Gamma/(rho g eta) of {length:.3g} m is below the E spacing of"
+            f" {film.spacing:.3g} m: surfactant does not hold the liquid up, and {fate}; {need}"
+        )
+        notices.note("drainage length unresolved", 1.0 - length / film.spacing, text)
+
     def begin(self) -> None:
         """Note the velocity of E at the start of the step."""
         if self.before is not None:
@@ -158,6 +195,8 @@ class Tangential:
         if self.solver is not None:
             self._solve_surfactant(ahead)
         self._accelerate(ahead)
+        if self.rim is not None and self.traction is not None:
+            self.rim.take_pull(self.traction, dt)
 
     def finish(self) -> None:
         """Take the velocity of E to the end of the step."""
@@ -249,4 +288,6 @@ class Tangential:
         if self.film.features.rim:
             solver.prepare(dt)
         solver.solve()
+        if self.film.features.collects:
+            self.rim.take_friction(solver.friction(), self.theta)
         film.launch_e(ks.replace_tangential_e, [solver.x, e.normal], [e.u])

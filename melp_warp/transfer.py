@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import warp as wp
 
-from melp_warp.film import Film
+from melp_warp.errors import SimulationError
+from melp_warp.film import THICKEST, Film
 from melp_warp.geometry import Geometry
+from melp_warp.kernels import surfactant as ks
 from melp_warp.kernels import transfer as kt
 from melp_warp.kernels.rows import vec16
 from melp_warp.launch import clear, launch
 from melp_warp.neighbors import NeighborLists
+from melp_warp.notices import Notices
 from melp_warp.settings import Setting
 from melp_warp.state import State
 
@@ -36,9 +40,42 @@ class Transfer:
         self._given = film.zeros(144 * math.ceil(film.n_l / 8))
         self._pack = film.zeros(film.total, vec16)
         self.lost = film.zeros(film.n_l, wp.int32)
+        self._thickest = film.parts()
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
         self._rate, self._whole = Setting(film.device), wp.full(1, 1.0, dtype=wp.float32, device=film.device)
+
+    def thickest(self) -> tuple[int, float]:
+        """The L whose film is thickest and how thick, m (reads back)."""
+        lag = self.state.l
+        self.film.launch_parts(ks.largest_chunks, [lag.eta], [self._thickest])
+        most = float(self._thickest.numpy().max())
+        if most <= THICKEST:
+            return 0, most
+        eta = np.where(lag.mass.numpy() > 0.0, lag.eta.numpy(), 0.0)  # the rim has collected the liquid of the others
+        return int(np.argmax(eta)), float(eta.max())
+
+    def check(self) -> None:
+        """Raise where a film is thicker than its E are apart: then it is none (reads back).
+
+        Raises:
+            SimulationError: names the L.
+        """
+        i, most = self.thickest()
+        if most > self.film.spacing:
+            raise SimulationError(
+                f"stage e_to_l: the film at L particle {i} is {most:.3g} m thick, more than the E spacing of"
+                f" {self.film.spacing:.3g} m: the liquid runs together faster than any film can"
+            )
+
+    def remark(self, notices: Notices) -> None:
+        """Note where a film is too thick to be one."""
+        i, most = self.thickest()
+        if most > THICKEST:
+            text = (
+                f"the film at L {i} is {1e3 * most:.3g} mm thick: beyond {1e3 * THICKEST:g} mm nothing is thin about it"
+            )
+            notices.note("thicker than a film", most, text)
 
     def prepare(self, dt: float) -> None:
         """Set what depends on the step dt (s) to come."""

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from melp_warp.kernels import boundary as kb
 from melp_warp.shapes import Catenoid, Disc, Jittered, Rectangle
 from tests.helpers import fitted_order, make_stepper
 
@@ -115,9 +114,8 @@ def push_out(stepper, factor):
 
 
 def confine(stepper):
-    film, lag = stepper.film, stepper.state.l
-    film.launch_l(kb.confine_l, [film.rim.anchors, film.rim.outward, stepper.lists.le.rows, film.n_e], [lag.x])
-    return f64(lag.x)
+    stepper.rim.confine()
+    return f64(stepper.state.l.x)
 
 
 def beyond(shape, x):
