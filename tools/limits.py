@@ -45,8 +45,8 @@ NOTES = """\
 * **Without surfactant an upright film empties**, as clean water does: its liquid falls freely, and the border behind
   the bottom rim collects it. The same happens at 100 g, where the drainage length is a quarter of the spacing. "Not
   where it falls": how far the collected share is from g t^2/2 over the height; 5 % is one row of E.
-* **A film thicker than its E are apart stops the run**: nothing is thin about it. At 100 m/s liquid runs together in the
-  corners of its frame a hundred times faster than surfactant can drive it apart.
+* **A film thicker than its E are apart stops the run**: nothing is thin about it. At 100 m/s liquid runs together in
+  the corners of its frame a hundred times faster than surfactant can drive it apart.
 * **A bubble inside another** is refused, as any overlap is: a region is what lies within one closed film, and the gas
   of the outer one would have to be the space between two.
 * **Random scenes** draw a third of their keys from the whole range of each, log-uniform where it spans decades; three
