@@ -211,7 +211,17 @@ def test_second_order_paths_do_not_harm_vortices():
 
 
 def test_flip_takes_a_share_of_what_transfers_take():
-    """Eddies of 8 E: with `flip` f they lose 1 - f of what they lose with APIC, and sampling noise."""
-    lost = {f: v.eddy_loss(cells=16, l_per_e=8, count=30, flip=f)["measured"] for f in (0.0, 0.8)}
-    print(f"lost a step: {lost[0.0]:.1e}, with flip 0.8 {lost[0.8]:.1e}")
-    assert 0.15 < lost[0.8] / lost[0.0] < 0.3
+    """With `flip` f eddies lose 1 - f of what they lose with APIC, to first order in the blur of a transfer.
+
+    What is beyond that falls with the spacing: for eddies of 8 and 16 E 0.31 and 0.25 were measured for 0.2. On other
+    processors, which round otherwise, the first is 0.30.
+    """
+
+    def ratio(cells):
+        lost = {f: v.eddy_loss(cells=cells, l_per_e=8, count=30, flip=f)["measured"] for f in (0.0, 0.8)}
+        print(f"{cells} E across: lost a step {lost[0.0]:.1e}, with flip 0.8 {lost[0.8]:.1e}")
+        return lost[0.8] / lost[0.0]
+
+    coarse, fine = ratio(16), ratio(32)
+    assert 0.15 < fine < 0.3
+    assert abs(fine - 0.2) < 0.6 * abs(coarse - 0.2)
