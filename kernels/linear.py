@@ -25,6 +25,16 @@ BETA = wp.constant(3)
 COUNT = wp.constant(4)
 START = wp.constant(5)
 ALPHA_OLD = wp.constant(6)
+ERROR = wp.constant(7)
+
+# Slots of the array in which solves are watched.
+WORST = wp.constant(0)
+LATE = wp.constant(1)
+SOLVES = wp.constant(2)
+MOST = wp.constant(3)
+
+LEAST_NORM = wp.constant(1.0e-37)
+"""Least squared norm of a load that a residual is measured against: what lies below float32 cannot square."""
 
 
 @wp.func
@@ -202,7 +212,7 @@ def weighted_chunks(
     size = (n + partial.shape[0] - 1) // partial.shape[0]
     total = float(0.0)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
-        total += w[i] * inner(a[i], b[i])
+        total += inner(w[i] * a[i], b[i])
     partial[c] = total
 
 
@@ -231,10 +241,11 @@ def start_scalars(
     that: what the solve changes is then found to the tolerance, unless it is lost in rounding.
     """
     value = total_of(rz)
-    reference = total_of(bz)
+    reference = wp.max(total_of(bz), LEAST_NORM)
     if change > 0.0:
         reference = value + change * reference
     scalar[RZ] = value
+    scalar[ERROR] = value
     scalar[START] = reference
     scalar[LIMIT] = control[0] * control[0] * reference
     scalar[COUNT] = 0.0
@@ -270,6 +281,7 @@ def set_beta(
     value = total_of(rz)
     scalar[BETA] = wp.where(scalar[RZ] > 0.0, value / scalar[RZ], 0.0)
     scalar[RZ] = value
+    scalar[ERROR] = value
     scalar[COUNT] = scalar[COUNT] + 1.0
     if not (value > slack * scalar[LIMIT]) or scalar[COUNT] >= control[1] or scalar[ALPHA] == 0.0:
         go[0] = 0
@@ -511,8 +523,26 @@ def stop_shifted(
     for k in range(8):
         bound += poles.weight[k] * wp.length(zeta[0, k])
     error = scalar[RZ] * bound * bound
+    scalar[ERROR] = error
     if error <= scalar[LIMIT]:
         go[0] = 0
+
+
+@wp.kernel
+def watch_solve(scalar: wp.array(dtype=float), watch: wp.array(dtype=float)):
+    """Take a solve that has ended into the account of those since the account was last cleared.
+
+    Args:
+        scalar: of the solve.
+        watch: the worst relative residual, solves that ended above their limit, solves, most iterations.
+    """
+    squared = scalar[ERROR] / scalar[START]
+    worst = wp.where(wp.isfinite(squared), wp.sqrt(wp.max(squared, 0.0)), wp.float32(wp.inf))
+    watch[WORST] = wp.max(watch[WORST], worst)
+    if not (scalar[ERROR] <= scalar[LIMIT]):
+        watch[LATE] = watch[LATE] + 1.0
+    watch[SOLVES] = watch[SOLVES] + 1.0
+    watch[MOST] = wp.max(watch[MOST], scalar[COUNT])
 
 
 @wp.kernel

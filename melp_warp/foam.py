@@ -184,6 +184,11 @@ class FoamMembrane:
         self._crossing = film.spacing * math.sqrt(lightest / self.contact.cling)
         self._find_motion(self.state.motion)
 
+    @property
+    def solvers(self) -> tuple[GasConjugateGradient, ...]:
+        """What the normal motion is solved with."""
+        return (self.response,)
+
     def longest_step(self, speed: float) -> float:
         """Step in which sheets that move at `speed` (m/s) are still followed, s.
 

@@ -500,6 +500,8 @@ MATRIX = (
         film(_FRAME, emptied(981.0, _FRAME.height), gravity=(0, -981.0, 0), frames=6),
         slow=True,
     ),
+    Case("solves", "one iteration, giant_bubble", _whole_giant(max_iterations=1), STOPPED),
+    Case("solves", "liquid of 1e-30 kg/m^3", _whole_giant(density=1e-30), STOPPED),
     Case("pressure", "0", film(_BALL, *_STILL, pressure=0.0)),
     Case("pressure", "1e8 Pa", film(_BALL, *_STILL, pressure=1e8)),
     Case("shape", "squashed 5:1, 600 E", film(_squashed, energy), REFUSED),

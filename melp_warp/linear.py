@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -18,6 +19,58 @@ ENTRIES = 256
 
 CHANGE = 1e-6
 """Square of the least change, over x, that a solve `of_change` finds to its tolerance: less is near rounding."""
+WORTHLESS = 0.5
+"""Relative residual from which what a solve found is worth no more than nothing would be."""
+
+
+def most_iterations(n: int, tolerance: float) -> int:
+    """Iterations at which a solve for n unknowns on a surface is given up.
+
+    Conjugate gradients need at most ln(2/tolerance)/2 times the root of the condition number, and on an even film that
+    is below 0.15 n for the surface Laplacian (the longest wave against the shortest). Five times as many are left to
+    uneven films, and 100 to small ones.
+    """
+    return 100 + math.ceil(math.sqrt(n) * math.log(2.0 / tolerance))
+
+
+@dataclass(frozen=True)
+class Account:
+    """What became of a number of solves.
+
+    Attributes:
+        worst: the largest relative residual that one ended with; infinite where one is not finite.
+        late: how many ended above the tolerance.
+        solves: how many there were.
+        most: the most iterations that one took.
+        allowed: iterations at which they are given up.
+        tolerance: relative residual at which they end.
+    """
+
+    worst: float
+    late: int
+    solves: int
+    most: int
+    allowed: int
+    tolerance: float
+
+    def __add__(self, other: Account) -> Account:
+        """The account of both."""
+        return Account(
+            max(self.worst, other.worst),
+            self.late + other.late,
+            self.solves + other.solves,
+            max(self.most, other.most),
+            max(self.allowed, other.allowed),
+            max(self.tolerance, other.tolerance),
+        )
+
+    @property
+    def text(self) -> str:
+        """The account in words."""
+        return (
+            f"{self.late} of {self.solves} solves end at a relative residual up to {self.worst:.2g} in place of"
+            f" {self.tolerance:g}, after {self.most} iterations of at most {self.allowed} (max_iterations)"
+        )
 
 
 class LinearOperator:
@@ -45,14 +98,19 @@ class LinearOperator:
 
 
 class _Solver:
-    """What the iterative solvers share: scalars, control and the counters read back for diagnostics."""
+    """What the iterative solvers share: scalars, control and the counters read back for diagnostics.
 
-    def __init__(self, n: int, tolerance: float, max_iterations: int, device, stride: int = 1, dtype=wp.float32):
-        self.n = n
+    `max_iterations` of None is `most_iterations`.
+    """
+
+    def __init__(self, n: int, tolerance: float, max_iterations: int | None, device, stride: int = 1, dtype=wp.float32):
+        max_iterations = most_iterations(n, tolerance) if max_iterations is None else max_iterations
+        self.n, self.tolerance = n, tolerance
         self._typed = k.VECTORS if dtype is wp.vec3 else k.SCALARS
         self.device = device
         self.stride = stride  # iterations between two looks at the residual
         self.scalar = wp.zeros(8, dtype=wp.float32, device=device)
+        self.watch = wp.zeros(4, dtype=wp.float32, device=device)
         self.go = wp.zeros(1, dtype=wp.int32, device=device)
         self._most = math.ceil(max_iterations / stride)
         self.control = wp.array([tolerance, self._most], dtype=wp.float32, device=device)
@@ -72,7 +130,9 @@ class _Solver:
         self._launch(kernel, [*inputs, self._entries], outputs, dim=dim)
 
     def _repeat(self, body) -> None:
+        """Iterate, and take the solve into the account."""
         repeat(self.go, body, self._most)
+        self._launch(k.watch_solve, [self.scalar], [self.watch], dim=1)
 
     def solve(self) -> None:
         """Run the solve; the solution is left in `x`."""
@@ -84,9 +144,18 @@ class _Solver:
         Args:
             scalar: a copy of `scalar` taken after an earlier solve; None for the last one.
         """
-        s = (self.scalar if scalar is None else scalar).numpy()
-        relative = float(np.sqrt(max(s[0], 0.0) / s[5])) if s[5] > 0.0 else 0.0
-        return self.stride * int(s[4]), relative
+        s = (self.scalar if scalar is None else scalar).numpy().astype(np.float64)
+        return self.stride * int(s[4]), float(np.sqrt(s[7] / s[5])) if s[5] > 0.0 else 0.0
+
+    def account(self) -> Account:
+        """What became of the solves since `forget` (reads back: between steps)."""
+        worst, late, solves, most = self.watch.numpy().tolist()
+        allowed = self.stride * self._most
+        return Account(worst, int(late), int(solves), self.stride * int(most), allowed, self.tolerance)
+
+    def forget(self) -> None:
+        """Begin the account anew."""
+        self.watch.zero_()
 
 
 class ConjugateGradient(_Solver):
@@ -96,7 +165,7 @@ class ConjugateGradient(_Solver):
         operator: the matrix.
         dtype: wp.float32 or wp.vec3 unknowns.
         tolerance: stop at sqrt((r, r/A_ii)/(b, b/A_ii)) below this.
-        max_iterations: stop after this many; Jacobi sweeps come in pairs.
+        max_iterations: stop after this many, None for `most_iterations`; Jacobi sweeps come in pairs.
         jacobi: relaxation factor omega of Appendix B; None for conjugate gradients.
         of_change: stop where the residual is below `tolerance` of the first one: for a solve that changes x by little.
 

@@ -51,6 +51,7 @@ class FilmResponse:
             ConjugateGradient(operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations)
             for _ in range(2)
         )
+        self.solvers = (self.load, self.unit)
         self.diag, self._operator = operator.diag, operator
         self._blur = geometry.blur(numerics.curvature)
         self._stiffness = Setting(film.device)
@@ -96,6 +97,7 @@ class AirResponse:
             numerics.max_iterations,
             film.device,
         )
+        self.solvers = (self.solver,)
         self.load, self.unit = _Pair(film), _Pair(film)
         self.diag = film.zeros(n)
         self.mean = wp.full(1, film.material.areal_mass, dtype=wp.float32, device=film.device)
@@ -253,6 +255,11 @@ class Membrane:
             [self.state.e.normal, change, unit, self.state.gas, self.rigid, self._theta.array, self.theta_whole, dt],
             [self.state.e.u, self.u_mid],
         )
+
+    @property
+    def solvers(self) -> tuple[ConjugateGradient | RationalLaplacian, ...]:
+        """What the normal motion is solved with."""
+        return () if self.explicit else self.response.solvers
 
     def wave_speed(self, mass: float) -> float:
         """Speed of waves across the explicit film where it has the mass per area `mass` (kg/m^2), m/s."""

@@ -31,7 +31,8 @@ class Numerics:
         curvature: "mls" (second order) or "sph" (the paper's (21)).
         solver: "cg" or "jacobi" (the paper's relaxed sweeps) for the surfactant equation (14).
         tolerance: relative residual at which conjugate gradients stop.
-        max_iterations: iterations or sweeps at which a solve stops.
+        max_iterations: iterations or sweeps at which a solve is given up; None for a number that grows with the film,
+            `linear.most_iterations`.
         cfl: largest displacement of a particle in a step, in E spacings, where the scene sets no dt; in a single layer
             that of a particle and of the fastest wave together, always.
         l_order: order in time of the L advance, 1 or 2.
@@ -58,7 +59,7 @@ class Numerics:
     curvature: str = "mls"
     solver: str = "cg"
     tolerance: float = 1e-4
-    max_iterations: int = 100
+    max_iterations: int | None = None
     cfl: float = 0.99
     l_order: int = 1
     affinity: float = 1.0
@@ -91,12 +92,9 @@ class Numerics:
         require(self.gradient in GRADIENTS, "gradient", self.gradient, f"one of {', '.join(GRADIENTS)}")
         require(self.solver in SOLVERS, "solver", self.solver, f"one of {', '.join(SOLVERS)}")
         number("tolerance", 1e-7, 0.1)
-        require(
-            isinstance(self.max_iterations, int) and 1 <= self.max_iterations <= 10000,
-            "max_iterations",
-            self.max_iterations,
-            "a whole number from 1 to 10000",
-        )
+        most = self.max_iterations
+        ok = most is None or (isinstance(most, int) and 1 <= most <= 10000)
+        require(ok, "max_iterations", most, "a whole number from 1 to 10000 or None")
         number("cfl", 0.01, 10.0)
         require(self.l_order in (1, 2), "l_order", self.l_order, "1 or 2")
         number("affinity", 0.0, 1.0)

@@ -508,7 +508,10 @@ class Simulation:
             reports["viscosity"] = s.tangential.viscous.report()
         if s.redistribution is not None:
             reports["redistribution"] = s.redistribution.solver.report()
-        return {name: {"iterations": i, "residual": r} for name, (i, r) in reports.items()}
+        lines = {name: {"iterations": i, "residual": r} for name, (i, r) in reports.items()}
+        for name, account in s.accounts.items():
+            lines[name] |= {"solves": account.solves, "unsolved": account.late, "worst": account.worst}
+        return lines
 
     def save_checkpoint(self, path: str | os.PathLike) -> None:
         """Write the state to `path` (.npz), whole or not at all.

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import reduce
+from itertools import chain
+from operator import add
 
 import numpy as np
 import warp as wp
@@ -17,6 +20,7 @@ from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
 from melp_warp.launch import Recorded, launch
+from melp_warp.linear import WORTHLESS, Account, ConjugateGradient, RationalLaplacian
 from melp_warp.membrane import Membrane
 from melp_warp.neighbors import NeighborLists
 from melp_warp.notices import Notices
@@ -30,6 +34,9 @@ STAGES = ("neighbors", "l_to_e", "geometry", "membrane", "surfactant", "e_to_l",
 
 LATER = ("geometry", "advance_l")
 """Stages after E have moved, when their lists may have to be rebuilt."""
+
+SOLVED_IN = {"membrane": "membrane", "surfactant": "surfactant", "viscosity": "surfactant"}
+"""Stage of each kind of solve."""
 
 OF_L = ("l_to_e", "e_to_l", "advance_l")
 """Stages whose largest kernels have a thread an L."""
@@ -47,6 +54,7 @@ class Stepper:
         dt: the step in progress, s.
         whole: whether a step is two graphs.
         wall: seconds spent in each stage since the last reset; not known where a step is two graphs.
+        accounts: what became of the solves of each kind in the last frame, for all but the redistribution.
     """
 
     def __init__(self, film: Film, state: State):
@@ -77,6 +85,7 @@ class Stepper:
         self.dt = Setting(film.device)
         self._all = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
         self.wall = dict.fromkeys(STAGES, 0.0)
+        self.accounts: dict[str, Account] = {}
         self.steps = 0
         self.whole = film.device.is_cuda
         rows = max(film.n_e, film.n_l)
@@ -232,17 +241,35 @@ class Stepper:
         lag = self.state.l
         launch(kd.find_broken, self.film.n_l, [lag.x, lag.v, STAGES.index(name) + 1], [self.broken], self.film.device)
 
+    def _solvers(self) -> dict[str, tuple[ConjugateGradient | RationalLaplacian, ...]]:
+        """The solvers of each kind of solve that must end within its tolerance."""
+        flow = self.tangential
+        solvers = {
+            "membrane": self.membrane.solvers if self.membrane else (),
+            "surfactant": (flow.solver,) if flow and flow.solver else (),
+            "viscosity": (flow.viscous,) if flow and flow.viscous else (),
+        }
+        return {name: found for name, found in solvers.items() if found}
+
+    def _find_accounts(self) -> dict[str, Account]:
+        """What became of the solves of each kind since `remark` (reads back)."""
+        accounts = {name: [solver.account() for solver in found] for name, found in self._solvers().items()}
+        return {name: reduce(add, found) for name, found in accounts.items()}
+
     def check(self) -> None:
         """Raise if a stage left a number that is not finite, a list overflowed or the gas collapsed (reads back).
 
         Raises:
-            SimulationError: names the stage and the particle.
+            SimulationError: names the stage and the particle or the solve.
         """
         stage, particle = (int(v) for v in self.broken.numpy())
         if stage:
             name = STAGES[stage - 1]
             kind = "L" if name in ("e_to_l", "advance_l") else "E"
             raise SimulationError(f"stage {name}: {kind} particle {particle} is not finite")
+        for name, account in self._find_accounts().items():
+            if not account.worst < WORTHLESS:
+                raise SimulationError(f"stage {SOLVED_IN[name]}, solver {name}: {account.text}")
         if self.film.features.closed:
             volume = self.state.gas.numpy()[:, 0]
             k = int(np.argmin(volume))
@@ -259,6 +286,12 @@ class Stepper:
 
     def remark(self, notices: Notices) -> None:
         """Have the stages note what must be known of the steps since this was last asked (reads back)."""
+        self.accounts = self._find_accounts()
+        for name, account in self.accounts.items():
+            if account.late:
+                notices.note(f"{name} not solved", account.worst, account.text)
+        for solver in chain.from_iterable(self._solvers().values()):
+            solver.forget()
         stages = (self.rim, self.transfer, self.membrane, self.tangential, self.redistribution, self.l_advance)
         for stage in (self.fields, *stages):
             if hasattr(stage, "remark"):

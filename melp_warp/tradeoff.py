@@ -65,7 +65,7 @@ KNOBS: Mapping[str, Mapping[str, Quality]] = MappingProxyType(
             "backward_euler, curved paths": Quality(keys={**_PAPER_FLOW, "l_order": 2}),
         },
         "tolerance": _keys(*({"tolerance": t} for t in (1e-1, 1e-2, 1e-3, 1e-6))),
-        "solver": _keys({"solver": "jacobi"}, {"solver": "jacobi", "max_iterations": 1000}),
+        "solver": _keys(*({"solver": "jacobi", "max_iterations": most} for most in (100, 1000))),
         "skin": _keys({"skin": 0.1}, {"skin": 0.5}, {"skin": 1.0}),
         "transfer": {
             "PIC": Quality(keys={"affinity": 0.0, "flip": 0.0}),

@@ -6,7 +6,7 @@ import warp as wp
 
 from melp_warp import air
 from melp_warp.kernels import linear as kl
-from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
+from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian, most_iterations
 from melp_warp.shapes import Disc, Sphere
 from tests.helpers import make_rows, make_stepper, near, pairs_of
 
@@ -183,6 +183,54 @@ def test_iteration_limit(limit, device):
     assert residual(a, x, b) == pytest.approx(reported, rel=1e-3)
 
 
+def test_account_of_several_solves(device):
+    """The worst residual, how many ended above the tolerance, how many there were, the most iterations."""
+    operator, a = system(device)
+    solver = ConjugateGradient(operator, N + BEYOND, wp.float32, 1e-4, 12)
+    ends = []
+    for start in (None, np.linalg.solve(a, load())):
+        x = solve(solver, load(), start)
+        ends.append((*solver.report(), residual(a, x, load())))
+    (stopped, reported, true), (at_once, fine, _) = ends
+    account = solver.account()
+    assert (stopped, at_once) == (12, 0) and fine <= 1e-4
+    assert (account.late, account.solves, account.most, account.allowed) == (1, 2, 12, 12)
+    assert account.worst == pytest.approx(reported, rel=1e-6) == pytest.approx(true, rel=1e-3)
+    assert account.worst > 1e-4
+    solver.forget()
+    assert (solver.account().worst, solver.account().solves) == (0.0, 0)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-17, 1e-22])
+def test_load_that_float32_cannot_square(size, device):
+    """A residual is never told as less than it is, down to loads whose squares float32 cannot hold (1e-44 here)."""
+    operator, a = system(device)
+    b = size * load()
+    solver = ConjugateGradient(operator, N + BEYOND, wp.float32, 1e-4, 8)
+    x = solve(solver, b, 1.0)
+    account = solver.account()
+    assert account.late == 1
+    assert account.worst >= 0.9 * min(residual(a, x, b), 1e6)
+
+
+def test_not_finite_is_told(device):
+    """A load that is not finite makes the worst residual infinite."""
+    operator, _ = system(device)
+    solver = ConjugateGradient(operator, N + BEYOND, wp.float32, 1e-4, 50)
+    b = load()
+    b[7] = np.nan
+    solve(solver, b)
+    solve(solver, load())
+    assert solver.account().worst == np.inf
+    assert solver.account().late == 1
+
+
+def test_iterations_that_are_left_grow_with_the_film():
+    """As the root of the number of unknowns, as the condition of the surface Laplacian asks for."""
+    assert most_iterations(160_000, 1e-4) - 100 == pytest.approx(10 * (most_iterations(1600, 1e-4) - 100), rel=0.01)
+    assert most_iterations(1600, 1e-4) == 100 + 397
+
+
 def test_same_bits_twice(device):
     """Sums are taken in a fixed order: the same system gives the same bits."""
     operator, _ = system(device)
@@ -249,9 +297,11 @@ def test_rational_function_of_the_laplacian(tolerance, device):
     b = np.random.default_rng(3).normal(size=len(area))
     solver.b.assign(b.astype(np.float32))
     solver.solve()
-    iterations, _ = solver.report()
+    iterations, reported = solver.report()
     x = solver.x.numpy()
     exact = apply_function(d, area, f, b)
+    assert reported <= tolerance
+    assert (solver.account().late, solver.account().worst) == (0, pytest.approx(reported, rel=1e-5))
     root = np.sqrt(area)
     error = np.linalg.norm(root * (x - exact)) / (f(np.array([2.0]))[0] * np.linalg.norm(root * b))
     print(f"{iterations} iterations, error {error:.1e}")

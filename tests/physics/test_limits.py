@@ -65,6 +65,29 @@ def test_a_film_far_from_the_origin_is_the_same_film():
     assert far["gas"][0, 1] == pytest.approx(near["gas"][0, 1], rel=1e-4)
 
 
+def test_solves_that_stop_early_are_noticed():
+    """Eight iterations where 20 are needed: noticed and logged in every frame; with those left by default, nothing."""
+    for given, late in (({"max_iterations": 8}, True), ({}, False)):
+        simulation = Simulation(small_giant(300, 2, **given))
+        for _ in range(2):
+            simulation.advance_frame()
+        membrane = simulation.diagnostics()["solvers"]["membrane"]
+        assert membrane["solves"] == 8  # load and unit pressure, each corrected once, in two steps
+        assert (membrane["unsolved"] > 0) == late == (membrane["worst"] > 1e-4)
+        assert simulation.notices.of_frame == ({"membrane not solved": membrane["worst"]} if late else {})
+    assert not simulation.notices
+
+
+def test_worthless_solves_stop_the_run():
+    """One iteration leaves a residual above 1: the run stops at its last good frame, naming stage, frame and solver."""
+    simulation = Simulation(small_giant(300, 2, max_iterations=1))
+    good = simulation.state.numpy()
+    with pytest.raises(SimulationError, match=r"stage membrane, solver membrane: .* of at most 1 .*, at .* in frame 1"):
+        simulation.advance_frame()
+    for name, array in simulation.state.numpy().items():
+        assert np.array_equal(array, good[name]), name
+
+
 def test_a_frame_that_leaps_is_done_again():
     """A dumbbell in steps of 1/60 s jumps too far; that frame is done again in smaller steps, from its start."""
     numerics = Numerics()
