@@ -21,7 +21,7 @@ from melp_warp.numerics import Numerics
 from melp_warp.parameters import Key, Value, Values
 from melp_warp.registry import load_scene, scene_names
 from melp_warp.scene import Scene
-from melp_warp.shapes import Disc, Ellipsoid, Rectangle, Shape, Sphere, StarShaped
+from melp_warp.shapes import Disc, Ellipsoid, Rectangle, Shape, Sphere, StarShaped, displaced_sphere
 from melp_warp.simulation import Simulation
 from melp_warp.validation import GRAVITY, e_points, oscillation, small_giant
 
@@ -406,6 +406,17 @@ def dumbbell() -> Shape:
     return StarShaped(0.05, lambda d: 0.75 * d[:, 0] ** 2 - 0.5)
 
 
+def spiky() -> Shape:
+    """Waves of mode 12, half a radius high."""
+    mode = np.polynomial.legendre.Legendre.basis(12)
+    return displaced_sphere(_R, lambda d: 0.5 * mode(d[:, 1]))
+
+
+def _ringing_scene(**given) -> Callable[[], list[Error]]:
+    script = load_scene("oscillating_bubble")
+    return lambda: carried_out(script.build(script.parameters.values(given)), 1)
+
+
 def _needle() -> Shape:
     return Ellipsoid(0.1, 0.02, 0.02)
 
@@ -531,6 +542,13 @@ MATRIX = (
         "needle 5:1, in air",
         film(_needle, energy, e_count=3000, air="added_mass", dt=None, l_per_e=1, frames=3),
         slow=True,
+    ),
+    Case("shape", "waves of mode 12, 2.1 spacings each", _ringing_scene(mode=12, amplitude=0.5, e_count=300), REFUSED),
+    Case(
+        "shape",
+        "the same, by a script that does not tell of them",
+        film(spiky, e_count=300, l_per_e=0, scheme="trapezoid", fps=2500.0, dt=2e-4),
+        STOPPED,
     ),
     Case("particles", "five E and five L on top of others", film(_BALL, *_STILL, touch=duplicated, frames=10)),
     Case("particles", "E of a patch on one line", film(_BALL, *_STILL, touch=collinear, frames=10), STOPPED),

@@ -272,7 +272,7 @@ class Values:
         Args:
             name: the scene's name.
             shape: the film's geometry.
-            **initial: the initial fields `thickness`, `concentration` and `velocity` of `Scene`.
+            **initial: the initial fields `thickness`, `concentration` and `velocity` of `Scene`, and its `waves`.
 
         Returns:
             The scene with this object's material, surroundings, numerics, counts and times.

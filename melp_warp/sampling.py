@@ -32,6 +32,12 @@ SUM_STEPS = 4
 SINGLE_ROOM = 2.0
 """Room of the lists of a single layer over that of MELP: where a film gets thicker, its particles get denser."""
 
+WAVE = 5.0
+"""Fewest E spacings a wave: the curvature of a shorter one is off by over a quarter, h^2 k^2 times `geometry.BLUR`."""
+
+MOST_TURN = 5.0
+"""Largest rms angle between normals of E and those of the shape at which it counts as resolved, degrees."""
+
 FAR = 4.0
 """Distance of a film from the origin, in its own sizes, from which on positions are measured from the film."""
 
@@ -73,6 +79,17 @@ def _check_resolution(scene: Scene, spacing: float) -> None:
     )
 
 
+def _check_waves(scene: Scene, spacing: float) -> None:
+    """Whether the waves that are known are resolved."""
+    for name, length in scene.waves.items():
+        need = math.ceil(scene.e_count * (WAVE * spacing / length) ** 2)
+        allowed = (
+            f"at least {need} for {name}, which asks for waves of {length:.3g} m:"
+            f" {length / spacing:.2g} E spacings each, {WAVE:g} are needed"
+        )
+        require(length >= WAVE * spacing, "e_count", scene.e_count, allowed)
+
+
 def _check_smallest(cluster: Cluster, e_count: int, support: float) -> None:
     """Whether the smallest bubble, also one to be born, is at least two kernel supports across."""
     need, k = cluster.fewest_e(support), cluster.smallest
@@ -94,6 +111,7 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int
     n_e = len(samples.points)
     spacing = float(np.sqrt(samples.area.sum() / n_e))
     _check_resolution(scene, spacing)
+    _check_waves(scene, spacing)
     samples = _in_order(samples, spacing)
     rim = scene.shape.rim(spacing, (scene.numerics.support + scene.numerics.skin) * spacing)
     origin = _origin(samples.points)
@@ -189,6 +207,19 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
         _fill_gas(film, stepper)
     _set_velocity(scene, stepper)
     return film, stepper
+
+
+def unresolved(scene: Scene, stepper: Stepper) -> float:
+    """How far the E are from resolving the shape: rms angle of the fitted normals from its own, degrees; 0 if unknown.
+
+    Noise of four E spacings a cell, at which a volume is off by up to a hundredth, gives about `MOST_TURN`.
+    """
+    e = stepper.state.e
+    own = scene.shape.normals(e.x.numpy()[: e.count].astype(np.float64) + stepper.state.origin)
+    if own is None:
+        return 0.0
+    cosine = np.sum(own * e.normal.numpy()[: e.count], axis=1)
+    return float(np.degrees(np.sqrt(np.mean(np.arccos(np.clip(cosine, -1.0, 1.0)) ** 2))))
 
 
 def _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, device) -> tuple[Film, State]:

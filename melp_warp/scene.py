@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,6 +35,8 @@ class Scene:
         thickness: eta(x) in m; None for `material.thickness` everywhere.
         concentration: Gamma(x) in mol/m^2; None for `material.surfactant` everywhere.
         velocity: initial material velocity u(x) in m/s; None for rest.
+        waves: shortest waves of the shape and of the fields where they are known, m, by the key that sets them. Fewer
+            than five E spacings a wave are refused.
         numerics: discretisation choices.
         frames: number of frames after the first.
         fps: frames a second.
@@ -51,6 +53,7 @@ class Scene:
     thickness: PointField | None = None
     concentration: PointField | None = None
     velocity: PointField | None = None
+    waves: Mapping[str, float] = field(default_factory=dict)
     numerics: Numerics = field(default_factory=Numerics)
     frames: int = 100
     fps: float = 60.0

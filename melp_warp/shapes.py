@@ -90,6 +90,10 @@ class Shape(ABC):
         """Points [n, 3] near the surface put onto it, m."""
         return points
 
+    def normals(self, points: np.ndarray) -> np.ndarray | None:
+        """[n, 3] outward unit normals at points [n, 3] of the surface; None where a shape does not tell them."""
+        return None
+
     def spacing(self, count: int) -> float:
         """Mean distance dx = sqrt(area/count) between `count` points, m."""
         return float(np.sqrt(self.area / count))

@@ -19,7 +19,7 @@ from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.launch import launch
 from melp_warp.notices import Notices
-from melp_warp.sampling import FAR, make_film, resume
+from melp_warp.sampling import FAR, MOST_TURN, make_film, resume, unresolved
 from melp_warp.scene import MOST_STEPS, Scene
 from melp_warp.single_layer import make_stepper
 from melp_warp.state import GAS_SLOTS, Snapshot
@@ -108,12 +108,20 @@ class Simulation:
         self._wave_speed = self._fastest_wave()
         self.events = Events(scene.shape) if self.film.features.foam else None
         self.notices = Notices()
+        self._look_at_shape()
         self._remark()
 
     @property
     def gone(self) -> bool:
         """Whether the last film has popped: there are no particles, and time passes until a bubble appears."""
         return self.film.n_e == 0
+
+    def _look_at_shape(self) -> None:
+        """Note a shape that the E are too few for."""
+        turn = unresolved(self.scene, self.stepper)
+        if turn > MOST_TURN:
+            text = f"E normals are {turn:.3g} degrees off the shape's (rms), {MOST_TURN:g} at most: raise e_count"
+            self.notices.note("shape unresolved", turn, text)
 
     def _adopt(self, film: Film, stepper: Stepper) -> None:
         """Go on with this film and stepper."""
@@ -196,8 +204,11 @@ class Simulation:
                 self._check()
             self._change_regions()
         self._check()
-        if self.has_l and not self.gone:
+        if self.gone:
+            return
+        if self.has_l:
             self.stepper.transfer.check()
+        self.stepper.check_gas()
 
     def _check(self) -> None:
         """Raise if the steps of this frame went wrong (reads back)."""

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.advance import EulerianAdvance, LagrangianAdvance, Redistribution
-from melp_warp.errors import SimulationError
+from melp_warp.errors import LeapError, SimulationError
 from melp_warp.film import Film
 from melp_warp.foam import Exchange, FoamMembrane
 from melp_warp.forces import Forces
@@ -34,6 +34,9 @@ STAGES = ("neighbors", "l_to_e", "geometry", "membrane", "surfactant", "e_to_l",
 
 LATER = ("geometry", "advance_l")
 """Stages after E have moved, when their lists may have to be rebuilt."""
+
+GAS_LAW = 1e-3
+"""Largest relative error of p V = n R T at the end of a frame."""
 
 SOLVED_IN = {"membrane": "membrane", "surfactant": "surfactant", "viscosity": "surfactant"}
 """Stage of each kind of solve."""
@@ -283,6 +286,22 @@ class Stepper:
         """Bring the state up to date with what stages sum up over several steps."""
         if self.film.features.collects:
             self.rim.settle()
+
+    def check_gas(self) -> None:
+        """Raise if a region's pressure and volume do not obey the gas law at the end of a frame (reads back).
+
+        `close_volume` mends the volume by an offset of the film, at most a tenth of a spacing a step.
+        """
+        if not self.film.features.closed:
+            return
+        gas = self.state.gas.numpy()
+        error = (self.film.surroundings.pressure + gas[:, 1]) * gas[:, 0] / gas[:, 2] - 1.0
+        k = int(np.argmax(np.abs(error)))
+        if not abs(error[k]) <= GAS_LAW:
+            raise LeapError(
+                f"stage geometry: p V is {100.0 * error[k]:+.2g} % off n R T in region {k},"
+                f" more than {100.0 * GAS_LAW:g} %: {gas[k, 0]:.3g} m^3 at {gas[k, 1]:.3g} Pa above the outside"
+            )
 
     def remark(self, notices: Notices) -> None:
         """Have the stages note what must be known of the steps since this was last asked (reads back)."""

@@ -32,7 +32,8 @@ PARAMETERS = declare(
 def build(p: Values) -> Scene:
     """Build the scene."""
     legendre = np.polynomial.legendre.Legendre.basis(p.mode)
-    return p.scene("oscillating_bubble", displaced_sphere(p.radius, lambda d: p.amplitude * legendre(d[:, 1])))
+    shape = displaced_sphere(p.radius, lambda d: p.amplitude * legendre(d[:, 1]))
+    return p.scene("oscillating_bubble", shape, waves={"mode": 2.0 * np.pi * p.radius / p.mode} if p.amplitude else {})
 
 
 if __name__ == "__main__":

@@ -51,7 +51,9 @@ def build(p: Values) -> Scene:
         cores = sum(np.exp(-0.5 * np.sum((x - center) ** 2, axis=1) / p.vortex_radius**2) for center in centers)
         return p.thickness * (1.0 + p.noise * (0.8 * (2.0 * cores - 1.0) + 0.2 * patches.even(x)))
 
-    return p.scene("taylor_vortices", Rectangle(p.width, p.height), thickness=thickness, velocity=velocity)
+    shape = Rectangle(p.width, p.height)
+    waves = {"vortex_radius": 4.0 * p.vortex_radius}  # from the fastest flow to the fastest flow the other way, twice
+    return p.scene("taylor_vortices", shape, thickness=thickness, velocity=velocity, waves=waves)
 
 
 def vortex(x: np.ndarray, radius: float, speed: float) -> np.ndarray:

@@ -8,8 +8,9 @@ from melp_warp.cluster import Cluster, Pop
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.material import Surroundings
 from melp_warp.numerics import Numerics
+from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
-from melp_warp.shapes import Disc, Sphere
+from melp_warp.shapes import Disc, Sphere, fibonacci_sphere
 from melp_warp.simulation import Simulation
 from melp_warp.validation import small_giant
 
@@ -86,6 +87,44 @@ def test_worthless_solves_stop_the_run():
         simulation.advance_frame()
     for name, array in simulation.state.numpy().items():
         assert np.array_equal(array, good[name]), name
+
+
+@pytest.mark.parametrize("mode, e_count", [(12, 1148), (12, 1130), (4, 128), (4, 120)])
+def test_waves_of_a_mode_need_five_spacings(mode, e_count):
+    """2 pi R/n >= 5 sqrt(4 pi R^2/E) is E >= 25 n^2/pi: 1145.9 for n = 12, 127.3 for n = 4."""
+    script = load_scene("oscillating_bubble")
+    given = {"mode": mode, "e_count": e_count, "amplitude": 1e-3, "support": 2.0}
+    scene = script.build(script.parameters.values(given))
+    if e_count >= 25.0 * mode**2 / np.pi:
+        assert not Simulation(scene).notices
+        return
+    with pytest.raises(InputError, match=rf"e_count must be at least 1\d+ for mode, .* got {e_count}"):
+        Simulation(scene)
+
+
+def rough(e_count, frequency):
+    return small_giant(e_count, 0, displacement_octaves=1, displacement_frequency=frequency, displacement=0.03)
+
+
+@pytest.mark.parametrize("e_count, frequency, seen", [(2000, 20.0, False), (2000, 40.0, True), (8000, 40.0, False)])
+def test_an_unresolved_shape_is_noticed(e_count, frequency, seen):
+    """Noise of 6.0, 2.7 and 5.4 spacings a cell: the volume is off by 0.04, 8 and 0.1 %, and the second is noticed."""
+    simulation = Simulation(rough(e_count, frequency))
+    shape = simulation.scene.shape
+    volume = 4.0 / 3.0 * np.pi * np.mean(shape.radii(fibonacci_sphere(50000)) ** 3)
+    assert (abs(simulation.diagnostics()["volume"] / volume - 1.0) > 2e-3) == seen
+    assert (list(simulation.notices.of_frame) == ["shape unresolved"]) == seen
+
+
+def test_gas_obeys_its_law_or_the_run_stops():
+    """Waves of 2.1 spacings, half a radius high, lose a tenth of the volume in a step: p V = n R T stops the run."""
+    simulation = Simulation(
+        Scene("spiky", limits.spiky(), 300, 0, numerics=Numerics(scheme="trapezoid"), fps=2500.0, dt=2e-4)
+    )
+    good = simulation.state.numpy()
+    with pytest.raises(SimulationError, match=r"p V is -\d+ % off n R T in region 0.* in frame 1"):
+        simulation.advance_frame()
+    assert np.array_equal(simulation.state.e.x.numpy(), good["e.x"])
 
 
 def test_a_frame_that_leaps_is_done_again():
