@@ -82,6 +82,7 @@ class Features:
             "membrane": self.moving and not self.foam,
             "motion": self.moving,
             "drag": self.dragged,
+            "air_range": self.air and self.closed and not (self.foam or self.explicit),
             "homes": self.lagrangian,
             "boundary": self.rim,
             "single_layer": self.single,

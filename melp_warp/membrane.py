@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp import air
+from melp_warp.air_range import AirRange
 from melp_warp.drag import AirDrag
 from melp_warp.film import Film
 from melp_warp.forces import Forces
@@ -17,6 +18,7 @@ from melp_warp.kernels import motion as ko
 from melp_warp.launch import clear, copy, launch
 from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian
 from melp_warp.neighbors import NeighborLists
+from melp_warp.notices import Notices
 from melp_warp.rim import Rim
 from melp_warp.settings import Setting
 from melp_warp.state import State
@@ -169,6 +171,7 @@ class Membrane:
     velocity is solved for: rigid motion and free flight cost nothing and are not damped.
 
     Attributes:
+        air_range: keeps the air from making energy; None without air or for an open film.
         theta: 1 for backward Euler, 1/2 for the midpoint rule. The midpoint rule keeps every wave, those too that a
             large step does not resolve, and the operator in the matrix is softer for the shortest than the force: they
             grow. So theta rises to 1 where the shortest wave runs more than `MIDPOINT_CFL` spacings in a step.
@@ -219,6 +222,9 @@ class Membrane:
             self.response = AirResponse(film, state, lists, geometry)
         else:
             self.response = FilmResponse(film, state, lists, geometry)
+        self.air_range = None
+        if film.features.air and film.features.closed and not self.explicit:
+            self.air_range = AirRange(film, state, lists, geometry, self.response.poles, self.response.low)
         self._blur = 0.0 if self.explicit else geometry.blur(film.numerics.curvature)
         self._whole = wp.full(1, self.theta_whole, dtype=wp.float32, device=film.device)
         self._added = wp.full(film.regions, self.added, dtype=wp.float32, device=film.device)
@@ -260,6 +266,11 @@ class Membrane:
     def solvers(self) -> tuple[ConjugateGradient | RationalLaplacian, ...]:
         """What the normal motion is solved with."""
         return () if self.explicit else self.response.solvers
+
+    def remark(self, notices: Notices) -> None:
+        """Note air beyond its range (reads back)."""
+        if self.air_range is not None:
+            self.air_range.remark(notices)
 
     def wave_speed(self, mass: float) -> float:
         """Speed of waves across the explicit film where it has the mass per area `mass` (kg/m^2), m/s."""
@@ -395,6 +406,17 @@ class Membrane:
     def find_motion_at(self, theta: wp.array) -> None:
         """Set `passed` to the velocity of the film as a whole after the share theta [1] of the step."""
         self.film.launch_regions(ko.blend_motion, [self.start, self.state.motion, theta], [self.passed])
+
+    def before_move(self) -> None:
+        """Measure what must not grow as E move."""
+        if self.air_range is not None:
+            self.air_range.measure()
+
+    def after_move(self) -> None:
+        """Once the geometry is found after the move: no energy is made, and volume and pressure obey the gas law."""
+        if self.air_range is not None:
+            self.air_range.damp()
+        self.close_volume()
 
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""

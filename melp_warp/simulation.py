@@ -521,6 +521,7 @@ class Simulation:
             reports["redistribution"] = s.redistribution.solver.report()
         lines = {name: {"iterations": i, "residual": r} for name, (i, r) in reports.items()}
         for name, account in s.accounts.items():
+            lines.setdefault(name, {})
             lines[name] |= {"solves": account.solves, "unsolved": account.late, "worst": account.worst}
         return lines
 

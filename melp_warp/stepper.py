@@ -38,7 +38,7 @@ LATER = ("geometry", "advance_l")
 GAS_LAW = 1e-3
 """Largest relative error of p V = n R T at the end of a frame."""
 
-SOLVED_IN = {"membrane": "membrane", "surfactant": "surfactant", "viscosity": "surfactant"}
+SOLVED_IN = {"membrane": "membrane", "air": "advance_e", "surfactant": "surfactant", "viscosity": "surfactant"}
 """Stage of each kind of solve."""
 
 OF_L = ("l_to_e", "e_to_l", "advance_l")
@@ -208,6 +208,7 @@ class Stepper:
         foam, dt = self.film.features.foam, self.dt.array
         if not foam:
             self.membrane.find_frame()
+            self.membrane.before_move()
         self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19)
         if self.redistribution is not None:
             self.redistribution.apply(dt)  # (20)
@@ -221,8 +222,10 @@ class Stepper:
     def _find_geometry(self) -> None:
         self.lists.note_late(0)
         self.geometry.update()  # (9), (10), (11)
-        if self.film.features.closed:
+        if self.film.features.foam:
             self.membrane.close_volume()
+        elif self.film.features.closed:
+            self.membrane.after_move()
         self._guard_e("geometry")
 
     def _advance_l(self) -> None:
@@ -246,9 +249,10 @@ class Stepper:
 
     def _solvers(self) -> dict[str, tuple[ConjugateGradient | RationalLaplacian, ...]]:
         """The solvers of each kind of solve that must end within its tolerance."""
-        flow = self.tangential
+        flow, air = self.tangential, getattr(self.membrane, "air_range", None)
         solvers = {
             "membrane": self.membrane.solvers if self.membrane else (),
+            "air": (air.solver,) if air else (),
             "surfactant": (flow.solver,) if flow and flow.solver else (),
             "viscosity": (flow.viscous,) if flow and flow.viscous else (),
         }
