@@ -14,6 +14,7 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import air_range as ka
+from melp_warp.launch import clear
 from melp_warp.linear import RationalLaplacian
 from melp_warp.neighbors import NeighborLists
 from melp_warp.notices import Notices
@@ -86,4 +87,4 @@ class AirRange:
                 f" are off by about {100.0 * worst**2:.2g} %; {taken:.2g} J that it would have made are taken out"
             )
             notices.note("air beyond its range", worst, text)
-        self.found.zero_()
+        clear(self.found)
