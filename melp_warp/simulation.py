@@ -202,13 +202,12 @@ class Simulation:
             self.step_towards(end)
             if watched:
                 self._check()
+            if not self.gone and not end - self.time > 1e-9 / self.scene.fps:
+                self.stepper.check_gas()  # before regions change: new ones take a step to come to their volume
             self._change_regions()
         self._check()
-        if self.gone:
-            return
-        if self.has_l:
+        if self.has_l and not self.gone:
             self.stepper.transfer.check()
-        self.stepper.check_gas()
 
     def _check(self) -> None:
         """Raise if the steps of this frame went wrong (reads back)."""
