@@ -4,57 +4,58 @@ import warp as wp
 
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import height_over_fits, sum_vectors
-from melp_warp.kernels.sph import kernel_w, tangential
+from melp_warp.kernels.rows import gradient_row, height_over_fits
+from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
 
-
-@wp.kernel
-def smooth_drift_e(
-    drift: wp.array(dtype=wp.vec3),
-    density: wp.array(dtype=float),
-    near: wp.array(dtype=float),
-    rows: Neighbors,
-    r: float,
-    n_e: int,
-    strength: float,
-    # outputs
-    smoothed: wp.array(dtype=wp.vec3),
-):
-    """XSPH smoothing of the tangential E velocity (section 4.8), with the weights of (9). [n_e], m/s."""
-    i = rows.first + wp.tid()
-    mean = (kernel_w(0.0, r) * drift[i] + sum_vectors(i, near, drift, rows, n_e)) / density[i]
-    smoothed[i] = (1.0 - strength) * drift[i] + strength * mean
+STEEPEST = wp.constant(0.5)
+"""Largest half turn of a normal that the path of an E follows in a step."""
 
 
 @wp.kernel
 def advance_e(
     normal: wp.array(dtype=wp.vec3),
     u_mid: wp.array(dtype=float),
-    drift: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     frame: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=Quadric),
+    rows: Neighbors,
+    gradient: wp.array(dtype=wp.vec3),
     dt: wp.array(dtype=float),
     # outputs
     x: wp.array(dtype=wp.vec3),
 ):
-    """Move E with the normal velocity (19), the tangential drift, and along with the film as a whole.
+    """Move E with the normal velocity (19) and along with the film as a whole.
 
     A translating bubble would otherwise leave its E behind in the tangential direction and pile them up at the rear.
+
+    Seen from the film as a whole E move at w = u_mid - U.n along the normal of the middle of the step, which has turned
+    by -dt/2 grad_s w. Along the normal of its start they would drift along the film by dt^2/2 w grad_s w in each step:
+    a ringing bubble would lose its even spacing, the faster the larger the steps.
 
     Args:
         normal: [n] unit normals.
         u_mid: [n_e] normal speed, m/s.
-        drift: [n_e] tangential E velocity, m/s.
         region: [n] region of each E.
-        frame: [regions] velocity of each region as a whole, m/s.
+        frame: [regions] velocity U of each region as a whole, m/s.
+        surface: [n_e] fitted surfaces.
+        rows: E:E neighbours.
+        gradient: [pairs] gradient weights, 1/m.
         dt: [1] s.
         x: [n] m.
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     n = normal[i]
-    x[i] = x[i] + dt[0] * (u_mid[i] * n + tangential(drift[i] + frame[region[i]], n))
+    whole = frame[region[i]]
+    along = tangential(whole, n)
+    own = u_mid[i] - wp.dot(whole, n)
+    tilt = gradient_row(i, u_mid, rows, gradient, u_mid.shape[0]) + 2.0 * (surface[i].second * along)
+    turn = -0.5 * dt[0] * tangential(tilt, n)
+    size = wp.length(turn)
+    if size > STEEPEST:
+        turn *= STEEPEST / size
+    x[i] = x[i] + dt[0] * (u_mid[i] * n + along + own * turn)
 
 
 @wp.kernel

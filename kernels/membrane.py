@@ -37,6 +37,10 @@ def film_force_e(
     mass: wp.array(dtype=float),
     area: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
+    u: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    swelling: wp.array(dtype=float),
+    step: wp.array(dtype=float),
     tension: float,
     slope: float,
     body: wp.array(dtype=wp.vec3),
@@ -46,6 +50,8 @@ def film_force_e(
 ):
     """Normal force per area: 2 sigma kappa + p_in - p_out, and apart from it the outside forces m f.n.
 
+    The area is that at the start of the step; at the predicted place it is 1 - kappa d times that, d the way there.
+
     Args:
         kappa: [n_e] sum of principal curvatures, 1/m.
         gamma: [n_e] relative surfactant concentration.
@@ -53,6 +59,10 @@ def film_force_e(
         mass: [n_e] kg.
         area: [n_e] m^2.
         gas: gas slots; gauge pressure in Pa.
+        u: [n] m/s.
+        frame: [1] velocity of the film as a whole, m/s.
+        swelling: [1] mean normal speed, m/s.
+        step: [1] time to the predicted place, s.
         tension: sigma_0, N/m.
         slope: R T Gamma_0, N/m.
         body: [n_e] acceleration by outside forces, m/s^2.
@@ -61,8 +71,10 @@ def film_force_e(
     """
     i = wp.tid()
     sigma = tension - slope * gamma[i]
-    force[i] = 2.0 * sigma * kappa[i] + float(gas[0, GAUGE])
-    external[i] = mass[i] / area[i] * wp.dot(body[i], normal[i])
+    n = normal[i]
+    stretch = 1.0 - kappa[i] * step[0] * (wp.dot(u[i] - frame[0], n) - swelling[0])
+    force[i] = wp.clamp(stretch, 0.5, 2.0) * (2.0 * sigma * kappa[i] + float(gas[0, GAUGE]))
+    external[i] = mass[i] / area[i] * wp.dot(body[i], n)
 
 
 @wp.kernel

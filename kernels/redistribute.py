@@ -2,10 +2,11 @@
 
 import warp as wp
 
+from melp_warp.kernels.mls import fit_height
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_parts
-from melp_warp.kernels.rows import Quadric, away_from_near, change_along, gradient_row
-from melp_warp.kernels.sph import tangential
+from melp_warp.kernels.rows import away_from_near, change_over_fit, gradient_row, solve_fit, vec5
+from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
 
@@ -74,21 +75,23 @@ def shift_e(
     region: wp.array(dtype=wp.int32),
     spread: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
-    drift: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
     normal: wp.array(dtype=wp.vec3),
-    surface: wp.array(dtype=Quadric),
     rows: Neighbors,
     gradient: wp.array(dtype=wp.vec3),
+    r: float,
     strength: float,
     spacing: float,
     limit: float,
-    dt: wp.array(dtype=float),
     # outputs
     x_new: wp.array(dtype=wp.vec3),
     u_new: wp.array(dtype=wp.vec3),
-    drift_new: wp.array(dtype=wp.vec3),
+    u_mid_new: wp.array(dtype=float),
 ):
-    """Shift E by -strength grad_s C along the fitted surface; the velocity field stays where it is in space.
+    """Shift E by -strength grad_s C along the fitted surface; surface and velocities stay where they are in space.
+
+    Both are found at the new place by the same quadratic fit. A linear one, u + s.grad u, would make every wave
+    exp(ikx) larger by k^2 s^2/2; the fit's quadratic part takes that away, and a little of the shortest waves.
 
     The smooth density of (9) hardly sees pairs, which form where a sheet is bent: E that are close are parted.
 
@@ -98,18 +101,17 @@ def shift_e(
         region: [n] region of each E.
         spread: see `summarize_spread_r`.
         u: [n] material velocity, m/s.
-        drift: [n_e] tangential E velocity, m/s.
+        u_mid: [n_e] normal speed that moves E in this step, m/s.
         normal: [n] unit normals.
-        surface: [n_e] fitted surfaces.
         rows: E:E neighbours.
         gradient: [pairs] gradient weights, 1/m.
+        r: support radius, m.
         strength: beta, 0 to 1.
         spacing: of the E, m.
         limit: largest shift, m; up to four times as much where the E are so uneven that their spread is above 1.
-        dt: [1] s.
         x_new: [n_e] m.
         u_new: [n_e] velocity at the place moved to, m/s.
-        drift_new: [n_e] drift with the shift's own velocity added (Algorithm 5, line 13), m/s.
+        u_mid_new: [n_e] normal speed there, m/s.
     """
     i = rows.first + wp.tid()
     n = normal[i]
@@ -118,9 +120,70 @@ def shift_e(
         shift = -strength * tangential(gradient_row(i, pressure, rows, gradient, pressure.shape[0]), n)
         shift += strength * APART * tangential(away_from_near(i, x, normal, rows, CLOSE * spacing), n)
     size = wp.length(shift)
-    most = limit * wp.clamp(spread[region[i]][0], 1.0, 4.0)
-    if size > most:
-        shift = shift * (most / size)
-    x_new[i] = x[i] + shift + wp.dot(shift, surface[i].second * shift) * n
-    u_new[i] = u[i] + change_along(i, shift + dt[0] * drift[i], u, rows, gradient)
-    drift_new[i] = drift[i] + shift / dt[0]
+    p = x[i]
+    v = u[i]
+    speed = u_mid[i]
+    if size > 0.0:
+        most = limit * wp.clamp(spread[region[i]][0], 1.0, 4.0)
+        shift = shift * wp.min(most / size, 1.0)
+        e1, e2 = tangent_basis(n)
+        factor, c = fit_height(i, x, n, rows, r, x.shape[0], False)
+        h = r / 3.0
+        a = wp.dot(shift, e1) / h
+        b = wp.dot(shift, e2) / h
+        way = vec5(a, b, a * a, a * b, b * b)
+        p += shift + h * wp.dot(c, way) * n
+        change = change_over_fit(i, x, e1, e2, solve_fit(factor, way), rows, r, u_mid.shape[0], u, u_mid)
+        v += wp.vec3(change[0], change[1], change[2])
+        speed += change[3]
+    x_new[i] = p
+    u_new[i] = v
+    u_mid_new[i] = speed
+
+
+@wp.kernel
+def keep_liquid_e(
+    x: wp.array(dtype=wp.vec3),
+    moved: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    n_e: int,
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    # outputs
+    mass_new: wp.array(dtype=float),
+    surfactant_new: wp.array(dtype=float),
+):
+    """Liquid of a film of E alone stays where it is: what the borders of the cells sweep goes from one E to the other.
+
+    Pair by pair, so that none is lost: m_ij = w_ij eta_ij s.d, s the mean shift of both and d the way from one to the
+    other, which is the swept area of (20) where s = -grad C. eta_ij is that in the middle of what is swept.
+
+    Args:
+        x: [n] m.
+        moved: [n_e] places shifted to, m.
+        area: [n_e] m^2.
+        weight: [pairs] a_i a_j K_ij.
+        rows: E:E neighbours.
+        n_e: number of E.
+        mass: [n_e] kg.
+        surfactant: [n_e] mol.
+        mass_new: [n_e] kg.
+        surfactant_new: [n_e] mol.
+    """
+    i = rows.first + wp.tid()
+    own = moved[i] - x[i]
+    liquid = wp.vec2(mass[i], surfactant[i])
+    layer = liquid / area[i]
+    total = liquid
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        if j < n_e:
+            d = x[j] - x[i]
+            way = 0.5 * wp.dot(own + moved[j] - x[j], d)
+            other = wp.vec2(mass[j], surfactant[j]) / area[j]
+            ahead = 2.0 / 3.0 * way / wp.max(wp.length_sq(d), 1.0e-30)
+            total += weight[k] * way * (0.5 * (layer + other) + ahead * (other - layer))
+    mass_new[i] = total[0]
+    surfactant_new[i] = total[1]

@@ -224,6 +224,48 @@ def change_along(
 
 
 @wp.func_native(f"""{ROW}
+    const float* q = (const float*)x.data;
+    const float* values = (const float*)u.data;
+    const float* speeds = speed.data;
+    const float px = q[3 * i], py = q[3 * i + 1], pz = q[3 * i + 2], scale = 3.0f / r;
+    const float ax = e1[0], ay = e1[1], az = e1[2], bx = e2[0], by = e2[1], bz = e2[2];
+    const float y0 = y[0], y1 = y[1], y2 = y[2], y3 = y[3], y4 = y[4];
+    const float ux = values[3 * i], uy = values[3 * i + 1], uz = values[3 * i + 2], own = speeds[i];
+    float sx = 0.0f, sy = 0.0f, sz = 0.0f, change = 0.0f;
+    {{{LOOP}
+    {{
+{OFFSET}{WEIGHT}        const float a1 = dx * ax + dy * ay + dz * az, b1 = dx * bx + dy * by + dz * bz;
+        const float g = w * (a1 * (y0 + y2 * a1 + y3 * b1) + b1 * (y1 + y4 * b1));
+        const int k1 = j < limit ? j : i;
+        sx += g * (values[3 * k1] - ux);
+        sy += g * (values[3 * k1 + 1] - uy);
+        sz += g * (values[3 * k1 + 2] - uz);
+        change += g * (speeds[k1] - own);
+    }}
+    }}
+    return wp::vec_t<4, float>(sx, sy, sz, change);
+""")
+def change_over_fit(
+    i: int,
+    x: wp.array(dtype=wp.vec3),
+    e1: wp.vec3,
+    e2: wp.vec3,
+    y: vec5,
+    rows: Neighbors,
+    r: float,
+    limit: int,
+    u: wp.array(dtype=wp.vec3),
+    speed: wp.array(dtype=float),
+) -> wp.vec4:
+    """sum_j W (y.(u, v, u^2, uv, v^2)) (f_j - f_i) over neighbours below index `limit`, f the fields u and `speed`.
+
+    (u, v) are the components of x_j - x_i along e1 and e2, lengths in h = r/3. With y = A^-1 (s_u, s_v, s_u^2, s_u s_v,
+    s_v^2), A the normal matrix of `factor_fit`, this is the change of each field's quadratic fit over the way s.
+    """
+    ...
+
+
+@wp.func_native(f"""{ROW}
     const float* q = (const float*)source.data;
     float* weights = weight.data;
     const float px = p[0], py = p[1], pz = p[2], scale = 3.0f / r, unit = scale * scale;

@@ -252,3 +252,18 @@ def confine_e(
         x[i] = x[i] + back
         across = wp.normalize(back)
         u[i] = u[i] - wp.min(wp.dot(u[i], across), 0.0) * across
+
+
+@wp.kernel
+def move_e(
+    normal: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    dt: wp.array(dtype=float),
+    # outputs
+    x: wp.array(dtype=wp.vec3),
+):
+    """Move E with the liquid: at `u_mid` along their normals and with the velocity u along the film. [n_e], m."""
+    i = wp.tid()
+    n = normal[i]
+    x[i] = x[i] + dt[0] * (u_mid[i] * n + tangential(u[i], n))

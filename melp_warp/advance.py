@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import warp as wp
 
 from melp_warp.film import Film
@@ -14,9 +16,15 @@ from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
 
 SHIFT_TOLERANCE = 0.05
-SHIFT_ITERATIONS = 20
+
+SHIFT_ITERATIONS = 2.0
+"""Most iterations of the pseudo-pressure solve over the square root of the number of E: it takes 0.75 of that."""
+
 SHIFT_LIMIT = 0.1
 """Largest shift of an E in one redistribution, in spacings; more where the E are very uneven, see `shift_e`."""
+
+START_SPREAD = 0.02
+"""Spread of E density from which on they are evened out at the start, where it costs the film nothing."""
 
 PROJECTION_REACH = 2.0
 """Reach of the fits that an L is projected with, in spacings: nearer fits are the better ones."""
@@ -26,32 +34,33 @@ class EulerianAdvance:
     """Motion of E with the surface. Made only for films whose surface moves.
 
     Attributes:
+        redistribution: keeps E evenly spaced; None where the scene asks for none.
         x_old: [n] positions before the step, m.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        shifted = film.numerics.redistribution > 0.0
+        self.redistribution = Redistribution(film, state, lists, geometry) if shifted else None
         self.x_old = wp.clone(state.e.x)
-        self._smoothed = film.zeros(film.n_e, wp.vec3)
 
     def advance(self, u_mid: wp.array, frame: wp.array, dt: wp.array) -> None:
-        """Move E with the normal velocity, their drift and the film as a whole (19)."""
-        film, e = self.film, self.state.e
+        """Space E evenly on the film as it is (20), then move them along their normals and with it as a whole (19)."""
+        film, e, geometry = self.film, self.state.e, self.geometry
         copy(self.x_old, e.x)
+        if self.redistribution is not None:
+            self.redistribution.apply(u_mid)
         film.launch_e(
-            ka.smooth_drift_e,
-            [
-                *(e.drift, self.geometry.density, self.geometry.near, self.lists.ee.rows),
-                *(film.r, film.n_e, film.numerics.xsph),
-            ],
-            [self._smoothed],
+            ka.advance_e,
+            [e.normal, u_mid, e.region, frame, geometry.surface, self.lists.ee.rows, geometry.gradient, dt],
+            [e.x],
         )
-        copy(e.drift, self._smoothed)
-        film.launch_e(ka.advance_e, [e.normal, u_mid, e.drift, e.region, frame, dt], [e.x])
 
 
 class Redistribution:
-    """Even spacing of E by pseudo-pressure (20), Algorithm 5.
+    """Even spacing of E by pseudo-pressure (20), Algorithm 5 without its line 13.
+
+    What line 13 adds, drift += shift/dt, carries E on past where they are even: it winds up and drives the film.
 
     Attributes:
         spread: [regions] (delta_max - delta_min)/delta_mean, delta_mean (1/m^2), 1 if E were shifted.
@@ -60,42 +69,56 @@ class Redistribution:
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
-        self.solver = ConjugateGradient(operator, film.total, wp.float32, SHIFT_TOLERANCE, SHIFT_ITERATIONS)
+        most = math.ceil(SHIFT_ITERATIONS * math.sqrt(film.n_e))
+        self.solver = ConjugateGradient(operator, film.total, wp.float32, SHIFT_TOLERANCE, most)
         self.spread = film.zeros(film.regions, wp.vec3)
         self._part = film.parts(wp.vec4)
-        self._x, self._u, self._drift = (film.zeros(film.n_e, wp.vec3) for _ in range(3))
+        self._x, self._u = (film.zeros(film.n_e, wp.vec3) for _ in range(2))
+        self._u_mid = film.zeros(film.n_e)
+        # the liquid of a film with L is theirs
+        self._liquid = None if film.features.lagrangian else [film.zeros(film.n_e) for _ in range(2)]
 
-    def apply(self, dt: wp.array) -> None:
-        """Shift E once towards even density; nothing moves where the spread is below the scene's threshold."""
+    def apply(self, u_mid: wp.array) -> None:
+        """Shift E once towards even density; nothing moves where the spread is below the scene's threshold.
+
+        The geometry is that of the present positions. `u_mid` [n_e], m/s, is carried along as the velocities are.
+        """
+        numerics = self.film.numerics
+        self._shift(u_mid, numerics.redistribution, numerics.spread)
+
+    def even_out(self) -> None:
+        """Shift E at full strength: for a film at the start, whose shape is known."""
+        self._shift(self._u_mid, 1.0, START_SPREAD)
+
+    def _shift(self, u_mid: wp.array, strength: float, threshold: float) -> None:
         film, e, geometry, rows = self.film, self.state.e, self.geometry, self.lists.ee.rows
-        geometry.update_density()
         film.launch_parts(kr.spread_chunks, [geometry.density, film.first], [self._part])
-        film.launch_regions(kr.summarize_spread_r, [self._part, film.numerics.spread], [self.spread])
+        film.launch_regions(kr.summarize_spread_r, [self._part, threshold], [self.spread])
         film.launch_e(kr.load_pressure_e, [geometry.density, e.region, self.spread], [self.solver.b, self.solver.x])
         self.solver.solve()
         film.launch_e(
             kr.shift_e,
             [
-                self.solver.x,
-                e.x,
-                e.region,
-                self.spread,
-                e.u,
-                e.drift,
-                e.normal,
-                geometry.surface,
-                rows,
-                geometry.gradient,
-                film.numerics.redistribution,
-                film.spacing,
-                SHIFT_LIMIT * film.spacing,
-                dt,
+                *(self.solver.x, e.x, e.region, self.spread, e.u, u_mid, e.normal, rows, geometry.gradient, film.r),
+                *(strength, film.spacing, SHIFT_LIMIT * film.spacing),
             ],
-            [self._x, self._u, self._drift],
+            [self._x, self._u, self._u_mid],
         )
-        copy(e.x, self._x, count=film.n_e)
-        copy(e.u, self._u, count=film.n_e)
-        copy(e.drift, self._drift)
+        if self._liquid is not None:
+            self._keep_liquid()
+        for array, new in ((e.x, self._x), (e.u, self._u), (u_mid, self._u_mid)):
+            copy(array, new, count=film.n_e)
+
+    def _keep_liquid(self) -> None:
+        """Leave the liquid where it is."""
+        film, e, geometry = self.film, self.state.e, self.geometry
+        film.launch_e(
+            kr.keep_liquid_e,
+            [e.x, self._x, geometry.area, geometry.weight, self.lists.ee.rows, film.n_e, e.mass, e.surfactant],
+            self._liquid,
+        )
+        for array, new in zip((e.mass, e.surfactant), self._liquid, strict=True):
+            copy(array, new)
 
 
 class LagrangianAdvance:

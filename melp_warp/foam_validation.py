@@ -73,6 +73,7 @@ def foam_scene(
         numerics=Numerics(
             cfl=FOAM["cfl"],
             redistribution=FOAM["redistribution"],
+            spread=FOAM["spread"],
             border=FOAM["border"],
             exchange=exchange,
         ),

@@ -303,6 +303,7 @@ class Membrane:
                 e.mass,
                 self.geometry.area,
                 self.state.gas,
+                *(e.u, self.start, self.swelling, ahead),
                 m.tension,
                 film.slope,
                 self.forces.body,

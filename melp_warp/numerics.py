@@ -41,10 +41,10 @@ class Numerics:
             sum W^ u_E' + flip (u_L - sum W^ u_E), u_E before and u_E' after the step's forces. 0 for (16), 1 for FLIP,
             with affinity 0 that of Brackbill and Ruppel 1986.
         skin: neighbour-list skin in E spacings: lists live until particles have moved half of it.
-        redistribution: strength of the E redistribution (20), 0 for none.
+        redistribution: share of their unevenness that E lose in a step by redistribution (20), 0 for none.
         spread: (delta_max - delta_min)/delta_mean below which E are left alone.
-        xsph: XSPH smoothing of the tangential E velocity, 0 to 1 (the paper's 0.99). E have no flow to lose by it, but
-            for a single layer it is the artificial viscosity of the flow.
+        xsph: XSPH smoothing of the velocity of a single layer along the film, 0 to 1 (the paper's 0.99): the artificial
+            viscosity of its flow. E of MELP have no velocity of their own along the film.
         gradient: Marangoni force of a single layer: "difference", the paper's (21), or "symmetric" in pairs, which
             keeps momentum and energy, but takes the noise of an uneven arrangement for a pressure.
         border: gap within which films of a foam cling to each other, in E spacings; lines are about as wide.
@@ -65,8 +65,8 @@ class Numerics:
     affinity: float = 1.0
     flip: float = 0.0
     skin: float = 0.25
-    redistribution: float = 1.0
-    spread: float = 0.02
+    redistribution: float = 0.3
+    spread: float = 0.2
     xsph: float = 0.99
     gradient: str = "difference"
     border: float = 1.0

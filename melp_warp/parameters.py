@@ -189,10 +189,10 @@ KEYS: Mapping[str, Key] = MappingProxyType(
         "affinity": Key("-", "share of the affine part in transfers (1: APIC, 0: PIC)", 0.0, 1.0),
         "flip": Key("-", "share that L keep of their own velocity's departure from the E (0: none, 1: FLIP)", 0.0, 1.0),
         "skin": Key("spacings", "skin of the neighbour lists, in E spacings", 0.05, 4.0),
-        "redistribution": Key("-", "strength of the E redistribution (0: none)", 0.0, 1.0),
+        "redistribution": Key("-", "share of their unevenness that E lose in a step (0: none)", 0.0, 1.0),
         "spread": Key("-", "relative spread of E density that is left alone", 0.0, 10.0),
         "border": Key("spacings", "gap within which films cling to each other", 0.5, 4.0),
-        "xsph": Key("-", "smoothing of the E velocity along the film, a step", 0.0, 1.0),
+        "xsph": Key("-", "smoothing of the velocity of a single layer, a step", 0.0, 1.0),
         "gradient": Key("-", "Marangoni force of a single layer", choices=GRADIENTS),
         "thickness_time": Key("s", "time in which L thickness relaxes to E thickness", 1e-6, 1e6),
     }
@@ -215,6 +215,7 @@ FOAM: Mapping[str, Value] = MappingProxyType(
         "cfl": 0.5,
         "flow": "backward_euler",
         "redistribution": 1.0,
+        "spread": 0.02,
     }
 )
 """Values with which foams run well: what `declare` is given in every scene of several bubbles."""

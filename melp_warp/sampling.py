@@ -123,7 +123,7 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int
         normals = np.concatenate([normals, rim.normals])
         fields = (rim.anchors - origin, rim.outward, rim.mirror - origin, rim.curvature)
         arrays = RimArrays(*(wp.array(a, dtype=wp.vec3, device=device) for a in fields))
-    short = dict.fromkeys(("drift", "mass", "surfactant"), n_e)
+    short = dict.fromkeys(("mass", "surfactant"), n_e)
     state = allocate(EulerianState, short, n_e + n_b, device, count=n_e)
     state.x.assign(points)
     state.normal.assign(normals)
@@ -304,11 +304,10 @@ def _relax(scene: Scene, stepper: Stepper) -> None:
     for done in range(MOST_RELAXATION_STEPS):
         if done >= RELAXATION_STEPS and stepper.redistribution.spread.numpy()[0, 0] < EVEN_ENOUGH:
             break
-        stepper.redistribution.apply(stepper.dt.at(1.0))
+        stepper.redistribution.even_out()
         points = e.x.numpy()
         points[: e.count] = scene.shape.project(points[: e.count] + origin) - origin
         e.x.assign(points)
-        e.drift.zero_()
         stepper.lists.rebuild_e()
         stepper.geometry.update()
     if stepper.state.l is not None:

@@ -395,7 +395,7 @@ class Simulation:
         if not film.features.moving:
             return np.zeros_like(u)
         normal = e.normal.numpy()[:n]
-        along = e.drift.numpy() + self.state.motion.numpy()[e.region.numpy()[:n]]
+        along = self.state.motion.numpy()[e.region.numpy()[:n]]
         return along + np.sum((u - along) * normal, axis=1, keepdims=True) * normal
 
     def diagnostics(self) -> dict:

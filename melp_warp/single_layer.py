@@ -12,7 +12,6 @@ from functools import cached_property
 import warp as wp
 
 from melp_warp.film import Film
-from melp_warp.kernels import advance as ka
 from melp_warp.kernels import single_layer as ks
 from melp_warp.launch import copy, launch
 from melp_warp.neighbors import NeighborLists
@@ -133,7 +132,7 @@ class SingleLayer(Stepper):
         film, e, rows, dt = self.film, self.state.e, self.lists.ee.rows, self.dt.array
         speed = self.membrane.u_mid if film.features.moving else self._still
         copy(self._x_old, e.x)
-        film.launch_e(ka.advance_e, [e.normal, speed, e.u, e.region, self._at_rest, dt], [e.x])
+        film.launch_e(ks.move_e, [e.normal, speed, e.u, dt], [e.x])
         if film.features.rim:
             film.launch_e(ks.confine_e, [film.rim.anchors, film.rim.outward, rows, film.n_e], [e.x, e.u])
         if film.features.moving:

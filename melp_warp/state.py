@@ -24,7 +24,6 @@ class EulerianState:
         x: [n] positions, m.
         normal: [n] outward unit normals.
         u: [n] material velocity, m/s.
-        drift: [count] tangential velocity of the particles themselves, m/s.
         mass: [count] kg.
         surfactant: [count] amount on one interface, mol.
         region: [n] index of the region; E are stored region by region.
@@ -34,7 +33,6 @@ class EulerianState:
     x: wp.array = _array(wp.vec3)
     normal: wp.array = _array(wp.vec3)
     u: wp.array = _array(wp.vec3)
-    drift: wp.array = _array(wp.vec3)
     mass: wp.array = _array(wp.float32)
     surfactant: wp.array = _array(wp.float32)
     region: wp.array = _array(wp.int32)

@@ -11,7 +11,7 @@ from operator import add
 import numpy as np
 import warp as wp
 
-from melp_warp.advance import EulerianAdvance, LagrangianAdvance, Redistribution
+from melp_warp.advance import EulerianAdvance, LagrangianAdvance
 from melp_warp.errors import LeapError, SimulationError
 from melp_warp.film import Film
 from melp_warp.foam import Exchange, FoamMembrane
@@ -76,8 +76,7 @@ class Stepper:
             else None
         )
         self.e_advance = EulerianAdvance(film, state, self.lists, self.geometry) if f.moving else None
-        shifted = f.moving and film.numerics.redistribution > 0.0
-        self.redistribution = Redistribution(film, state, self.lists, self.geometry) if shifted else None
+        self.redistribution = self.e_advance.redistribution if f.moving else None
         self.l_advance = LagrangianAdvance(film, state, self.lists, self.geometry) if f.lagrangian else None
         self.exchange = Exchange(film, state, self.lists, self.fields) if f.exchanges else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
@@ -209,9 +208,7 @@ class Stepper:
         if not foam:
             self.membrane.find_frame()
             self.membrane.before_move()
-        self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19)
-        if self.redistribution is not None:
-            self.redistribution.apply(dt)  # (20)
+        self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19), (20)
         if foam:
             self.membrane.recall()
         if self.rim is not None:

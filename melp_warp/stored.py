@@ -19,7 +19,7 @@ UNIT = 0.01
 """Largest departure of a normal's length from 1."""
 
 NOT_NEGATIVE = ("mass", "surfactant", "eta")
-MOVING = ("x", "u", "v", "drift")
+MOVING = ("x", "u", "v")
 BY_REGION = ("gas", "motion")
 
 

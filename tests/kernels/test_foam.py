@@ -22,7 +22,7 @@ def pair(gap, **options):
 
 def foam(shape, e_count, device, **options):
     """Film and stepper of a foam with the numerics of the scenes."""
-    return make_stepper(shape, e_count, device, numerics={"redistribution": 1.0}, **options)
+    return make_stepper(shape, e_count, device, numerics={"redistribution": 1.0, "spread": 0.02}, **options)
 
 
 def star_force(s):
