@@ -263,7 +263,7 @@ def oscillation(
     e_count: int = 5000,
     steps_per_period: float = 40.0,
     periods: float = 3.0,
-    amplitude: float = 0.01,
+    amplitude: float = 0.002,
     air: str = "none",
     radius: float = 0.05,
     scheme: str = "trapezoid",

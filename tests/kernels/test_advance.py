@@ -49,7 +49,7 @@ def test_e_move_along_turning_normals(device):
     After the step they are at x + dt (u_n n - dt/2 u_n grad_s u_n); along the first normals alone they would miss by
     dt^2/2 u_n |grad_s u_n|.
     """
-    film, s = make_stepper(Sphere(RADIUS), 2000, device)
+    _, s = make_stepper(Sphere(RADIUS), 2000, device)
     e, dt, size = s.state.e, 2e-3, 1.0
     n = f64(e.normal)
     x = f64(e.x)
