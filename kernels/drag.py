@@ -7,6 +7,8 @@ from melp_warp.kernels.regions import region_total
 
 wp.set_module_options({"enable_backward": False})
 
+PI = wp.constant(3.141592653589793)
+
 VISCOSITY = wp.constant(1.81e-5)
 """Dynamic viscosity of air at 20 degrees C, Pa s."""
 
@@ -27,7 +29,7 @@ def sphere_drag(speed: float, radius: float, density: float) -> float:
     factor = NEWTON * reynolds / 24.0
     if reynolds < 1000.0:
         factor = 1.0 + 0.15 * wp.pow(reynolds, 0.687)
-    return 6.0 * wp.pi * VISCOSITY * radius * factor
+    return 6.0 * PI * VISCOSITY * radius * factor
 
 
 @wp.func
@@ -80,7 +82,7 @@ def drag_motion_r(
         force: [regions] mean drag in the step, N.
     """
     g = wp.tid()
-    radius = wp.cbrt(0.75 * float(gas[g, VOLUME]) / wp.pi)
+    radius = wp.cbrt(0.75 * float(gas[g, VOLUME]) / PI)
     bare = share
     if covered:
         bare *= wp.clamp(1.0 - covered[g][3] / float(gas[g, AREA]), 0.0, 1.0)

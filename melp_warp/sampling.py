@@ -298,7 +298,7 @@ def _fill_new_gas(film: Film, state: State) -> None:
 
 def _relax(scene: Scene, stepper: Stepper) -> None:
     """Even out the E on a curved shape, keeping them on it."""
-    if stepper.redistribution is None:
+    if stepper.redistribution is None or scene.shape.even:
         return
     e, origin = stepper.state.e, stepper.state.origin
     for done in range(MOST_RELAXATION_STEPS):

@@ -167,7 +167,7 @@ class StarShaped(Shape):
 
     @property
     def even(self) -> bool:
-        return self.displacement is None
+        return False  # a golden spiral has its two poles
 
     def project(self, points: np.ndarray) -> np.ndarray:
         directions = points - np.asarray(self.center)
