@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from melp_warp.errors import InputError
+from melp_warp.files import digest
 from melp_warp.optics import display_color
 from melp_warp.usd import (
     ATTRIBUTES,
     CLIP_TEMPLATE,
     FRAMES,
+    LARGEST,
     MANIFEST,
     MAX_FRAME,
     METADATA_KEY,
+    MOST_REGIONS,
     ROOT,
     SCHEMA_VERSION,
     THICKNESS_UNIT,
@@ -24,7 +29,12 @@ from melp_warp.usd import (
     list_frames,
     open_layer,
     origin_of,
+    point_prims,
+    read_sample,
+    refers_to,
 )
+
+LOG = "run.jsonl"
 
 PLAUSIBLE_THICKNESS = (1.0, 1e5)
 """nm; the median of a frame lies within, or the unit is wrong."""
@@ -34,39 +44,144 @@ COLOR_TOLERANCE = 1e-4
 EXTENT_TOLERANCE = 4.0 * float(np.finfo(np.float32).eps)
 """Relative to the largest coordinate."""
 
+MOST_NAMED = 10
+"""Problems of one kind that are told one by one; of more the number is told."""
 
-def check_cache(directory: str | os.PathLike) -> list[str]:
+MOST_PRIMS = 100
+LONGEST_LINE = 1_000_000
+"""Bytes of a line of run.jsonl: one of 10,000 regions has some 300,000."""
+
+
+def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda name: None) -> list[str]:
     """Return the problems of a cache, one line each: file, attribute, what is wrong. Empty: the cache is sound.
 
-    Read are the root, the manifest and every frame, and the root is opened as a stage to see that the values arrive
-    through the clips. The validators of `pxr.UsdValidation` run over the root and the first frame.
+    Read are the root, the manifest, every frame and run.jsonl, where their checksums are. The root is opened as a stage
+    to see that the values arrive through the clips, and the validators of `pxr.UsdValidation` run over it and the first
+    frame: only if they take nothing from elsewhere. The files may be anybody's, but USD itself may hang on what it did
+    not write; `apart.check_cache` outlives that.
 
     Args:
         directory: folder with film.usda.
+        at: told the name of each file before it is opened.
     """
     directory = Path(directory)
     problems = _leftovers(directory)
+    on_disk = list_frames(directory)
+    problems += _guarded(LOG, _check_log, directory, on_disk, at)
+    at(ROOT)
     try:
         root = open_layer(directory / ROOT)
+        prims = point_prims(root)
     except InputError as error:
         return [*problems, f"{ROOT}: {error}"]
-    prims = _point_prims(root)
-    problems += _check_root(root, prims)
-    problems += _check_manifest(directory, prims)
-    on_disk = list_frames(directory)
-    problems += _check_range(root, on_disk)
-    broken = False
+    except Exception as error:  # a name that Python cannot hold
+        return [*problems, f"{ROOT}: cannot be checked: {_words(error)}"]
+    if len(prims) > MOST_PRIMS:
+        return [*problems, f"{ROOT}: has {len(prims)} point prims, more than {MOST_PRIMS}"]
+    of_root = _guarded(ROOT, _check_root, root, prims)
+    elsewhere = _guarded(ROOT, _check_elsewhere, ROOT, root)
+    at(MANIFEST)
+    of_manifest, readable = _check_manifest(directory, prims)
+    missing, fit = _check_range(root, on_disk)
+    problems += of_root + elsewhere + of_manifest + missing
+    whole = fit and readable and _clips_are_ours(root) and not elsewhere
     for frame in on_disk:
+        at(_frame_name(frame))
         try:
             layer = open_layer(frame_path(directory, frame))
         except InputError as error:
             problems.append(f"{_frame_name(frame)}: {error}")
-            broken = True
+            whole = False  # USD cannot open a stage over a damaged frame
             continue
-        problems += _check_frame(layer, frame, root, prims)
-    if on_disk and not broken:  # USD cannot open a stage over a damaged frame
-        problems += _check_stages(directory, on_disk[0], root, prims)
+        found = _guarded(_frame_name(frame), _check_elsewhere, _frame_name(frame), layer)
+        whole = whole and not found
+        problems += found + _guarded(_frame_name(frame), _check_frame, layer, frame, root, prims)
+    if on_disk and whole:
+        at(ROOT)
+        problems += _guarded(ROOT, _check_stages, directory, on_disk[0], root, prims)
     return problems
+
+
+def _guarded(name: str, check: Callable[..., list[str]], *arguments) -> list[str]:
+    """The problems that a check finds; what a file from elsewhere makes of it besides is one, too."""
+    try:
+        return check(*arguments)
+    except Exception as error:
+        return [f"{name}: cannot be checked: {_words(error)}"]
+
+
+def _words(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
+def _check_elsewhere(name: str, layer) -> list[str]:
+    """A cache is of its own files alone: a stage over others could open any file there is."""
+    return [f"{name}: refers to {what[:200]}, which no cache does" for what in refers_to(layer)[:MOST_NAMED]]
+
+
+# --- run.jsonl -----------------------------------------------------------------------------------------------------
+
+
+def _check_log(directory: Path, on_disk: Sequence[int], at: Callable[[str], None]) -> list[str]:
+    """A line for each frame, and files that are what was written; a killed run may leave half a line or one too few."""
+    path = directory / LOG
+    if not path.is_file():
+        return []
+    at(LOG)
+    frames, digests, problems = [], {}, []
+    with path.open("rb") as log:
+        for number, line in enumerate(iter(lambda: log.readline(LONGEST_LINE), b""), 1):
+            if not line.endswith(b"\n") and not log.read(1):
+                break
+            frame, found = _read_line(line)
+            if frame is None:
+                problems.append(f"{LOG}: line {number}: {found}")
+                break
+            frames.append(frame)
+            digests |= found
+    if problems:
+        return problems
+    wanted = list(on_disk) if len(frames) == len(on_disk) else list(on_disk)[:-1]
+    if frames != wanted:
+        problems.append(f"{LOG}: has lines for {_listed(frames)}, on disk are frames {_listed(on_disk)}")
+    if on_disk and (not frames or frames[-1] != on_disk[-1]):
+        digests.pop(ROOT, None)  # the root is written once more before the line of a frame
+    for name, digest_ in digests.items():
+        at(name)
+        if (directory / name).is_file() and digest(directory / name) != digest_:
+            problems.append(f"{name}: is not what the run wrote: its SHA-256 is another than in {LOG}")
+    return _few(problems)
+
+
+def _read_line(line: bytes) -> tuple[int | None, dict[str, str] | str]:
+    """Frame and checksums of a line of the log; or None and what is wrong with it."""
+    try:
+        entry = json.loads(line.decode("utf-8"), parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        return None, f"is not JSON: {_words(error)}"
+    frame = entry.get("frame") if isinstance(entry, dict) else None
+    if not isinstance(frame, int) or isinstance(frame, bool) or not 0 <= frame <= MAX_FRAME:
+        return None, f'has no "frame" from 0 to {MAX_FRAME}'
+    found = entry.get("sha256", {})
+    names = (ROOT, MANIFEST, _frame_name(frame))
+    if not isinstance(found, dict) or not all(k in names and isinstance(v, str) for k, v in found.items()):
+        return None, '"sha256" must name the files of this frame alone'
+    return frame, found
+
+
+def _refuse(constant: str):
+    raise ValueError(f"{constant} is no number of JSON")
+
+
+def _listed(frames: Sequence[int]) -> str:
+    """Frame numbers in few words."""
+    return f"{frames[0]} to {frames[-1]} ({len(frames)})" if len(frames) else "none"
+
+
+def _few(problems: list[str]) -> list[str]:
+    """The first problems of a kind, and how many there are besides."""
+    more = len(problems) - MOST_NAMED
+    return problems if more <= 1 else [*problems[:MOST_NAMED], f"{problems[MOST_NAMED]} (and {more - 1} more)"]
 
 
 def _frame_name(frame: int) -> str:
@@ -84,16 +199,11 @@ def _leftovers(directory: Path) -> list[str]:
     ]
 
 
-def _point_prims(root) -> list[str]:
-    world = root.GetPrimAtPath("/World")
-    return [child.name for child in world.nameChildren if child.typeName == "Points"] if world else []
-
-
 # --- layers --------------------------------------------------------------------------------------------------------
 
 
 def _expect(where: str, found: object, wanted: object) -> list[str]:
-    return [] if found == wanted else [f"{where}: is {found!r}, must be {wanted!r}"]
+    return [] if found == wanted else [f"{where}: is {found!r:.200}, must be {wanted!r}"]
 
 
 def _check_units(name: str, layer, fps: float) -> list[str]:
@@ -137,7 +247,7 @@ def _check_root(root, prims: list[str]) -> list[str]:
     problems = _check_units(ROOT, root, root.framesPerSecond)
     if not (root.HasStartTimeCode() and root.HasEndTimeCode()):
         problems.append(f"{ROOT}: startTimeCode or endTimeCode is missing")
-    data = root.customLayerData.get(METADATA_KEY, {})
+    data = _metadata(root)
     problems += _expect(f"{ROOT}: {METADATA_KEY}.schemaVersion", data.get("schemaVersion"), SCHEMA_VERSION)
     problems += _expect(f"{ROOT}: {METADATA_KEY}.thicknessUnit", data.get("thicknessUnit"), THICKNESS_UNIT)
     for key in ("refractiveIndex", "colorGain", "scene", "seed", "versions"):
@@ -159,9 +269,24 @@ def _check_root(root, prims: list[str]) -> list[str]:
     return problems
 
 
+def _metadata(layer) -> dict:
+    """What a layer says of the run, {} where that is no dictionary."""
+    data = layer.customLayerData.get(METADATA_KEY, {})
+    return data if isinstance(data, dict) else {}
+
+
+def _clips_are_ours(root) -> bool:
+    """Whether a stage over the root opens frames of this cache alone, and as many as there are."""
+    try:
+        world = root.GetPrimAtPath("/World")
+        return set(world.GetInfo("clips")) == {"default"} and not _check_clips(root, world)
+    except Exception:
+        return False
+
+
 def _check_clips(root, world) -> list[str]:
     clips = (world.GetInfo("clips") or {}).get("default")
-    if clips is None:
+    if not isinstance(clips, dict):
         return [f"{ROOT}: /World: has no value clips"]
     manifest = clips.get("manifestAssetPath")
     wanted = {
@@ -175,30 +300,42 @@ def _check_clips(root, world) -> list[str]:
     problems = _expect(f"{ROOT}: /World: clips manifestAssetPath", getattr(manifest, "path", None), f"./{MANIFEST}")
     for key, value in wanted.items():
         problems += _expect(f"{ROOT}: /World: clips {key}", clips.get(key), value)
+    others = sorted(set(clips) - set(wanted) - {"manifestAssetPath"})
+    problems += [f"{ROOT}: /World: clips {key[:80]}: must not be there" for key in others[:MOST_NAMED]]
     return problems
 
 
-def _check_manifest(directory: Path, prims: list[str]) -> list[str]:
+def _check_manifest(directory: Path, prims: list[str]) -> tuple[list[str], bool]:
+    """The problems of the manifest, and whether a stage may read it."""
     try:
         manifest = open_layer(directory / MANIFEST)
     except InputError as error:
-        return [f"{MANIFEST}: {error}"]
-    return _check_declarations(MANIFEST, manifest, prims)
+        return [f"{MANIFEST}: {error}"], False
+    elsewhere = _guarded(MANIFEST, _check_elsewhere, MANIFEST, manifest)
+    return elsewhere + _guarded(MANIFEST, _check_declarations, MANIFEST, manifest, prims), not elsewhere
 
 
-def _check_range(root, on_disk: list[int]) -> list[str]:
-    """Every frame of the root's range is on disk; one more may be there, written just before a run was killed."""
+def _check_range(root, on_disk: list[int]) -> tuple[list[str], bool]:
+    """Every frame of the root's range is on disk; one more may be there, written just before a run was killed.
+
+    Returns:
+        The problems, and whether a stage over the range has no more to open than there is.
+    """
     first, last = root.startTimeCode, root.endTimeCode
-    if not (first == int(first) and last == int(last) and 0 <= first <= last <= MAX_FRAME):
-        return [f"{ROOT}: time range {first} to {last}: must be whole numbers from 0 to {MAX_FRAME}, ascending"]
+    if not (0 <= first <= last <= MAX_FRAME and first == int(first) and last == int(last)):  # not so for NaN
+        return [f"{ROOT}: time range {first} to {last}: must be whole numbers from 0 to {MAX_FRAME}, ascending"], False
     wanted = range(int(first), int(last) + 1)
-    problems = [
-        f"{_frame_name(frame)}: missing, the range is {wanted[0]} to {wanted[-1]}"
-        for frame in sorted(set(wanted) - set(on_disk))
+    problems = _few(
+        [
+            f"{_frame_name(frame)}: missing, the range is {wanted[0]} to {wanted[-1]}"
+            for frame in sorted(set(wanted) - set(on_disk))
+        ]
+    )
+    outside = [
+        f"{_frame_name(frame)}: outside the range {wanted[0]} to {wanted[-1]} of {ROOT}"
+        for frame in sorted(set(on_disk) - set(wanted) - {wanted[-1] + 1})
     ]
-    for frame in sorted(set(on_disk) - set(wanted) - {wanted[-1] + 1}):
-        problems.append(f"{_frame_name(frame)}: outside the range {wanted[0]} to {wanted[-1]} of {ROOT}")
-    return problems
+    return problems + _few(outside), len(wanted) <= 2 * len(on_disk) + MOST_NAMED
 
 
 # --- one frame -----------------------------------------------------------------------------------------------------
@@ -209,7 +346,7 @@ def _check_frame(layer, frame: int, root, prims: list[str]) -> list[str]:
     problems = _check_units(name, layer, root.framesPerSecond)
     problems += _expect(f"{name}: startTimeCode", layer.startTimeCode, float(frame))
     problems += _expect(f"{name}: endTimeCode", layer.endTimeCode, float(frame))
-    unit = layer.customLayerData.get(METADATA_KEY, {}).get("thicknessUnit")
+    unit = _metadata(layer).get("thicknessUnit")
     problems += _expect(f"{name}: {METADATA_KEY}.thicknessUnit", unit, THICKNESS_UNIT)
     for prim in prims:
         problems += _expect(f"{name}: /World/{prim}: origin", origin_of(layer, prim), origin_of(root, prim))
@@ -221,7 +358,7 @@ def _check_frame(layer, frame: int, root, prims: list[str]) -> list[str]:
                 if not found:
                     arrays[attribute.name] = array
             problems += found
-        problems += _check_arrays(f"{name}: /World/{prim}", arrays, root.customLayerData.get(METADATA_KEY, {}))
+        problems += _check_arrays(f"{name}: /World/{prim}", arrays, _metadata(root))
     return problems
 
 
@@ -230,9 +367,10 @@ def _read_array(name: str, layer, frame: int, prim: str, attribute: Attribute) -
     path = f"/World/{prim}.{attribute.name}"
     times = layer.ListTimeSamplesForPath(path)
     if times != [float(frame)]:
-        return [f"{name}: {path}: has samples at {times}, must have one at {frame}"], None
-    array = np.array(layer.QueryTimeSample(path, float(frame)))
-    array = array.reshape(-1, 3) if attribute.columns == 3 else array
+        return [f"{name}: {path}: has samples at {times!s:.200}, must have one at {frame}"], None
+    array = read_sample(layer, prim, attribute, frame)
+    if isinstance(array, str):
+        return [f"{name}: {path}: {array}"], None
     finite = np.isfinite(array)
     if not finite.all():
         at = int(np.argmin(finite.reshape(len(array), -1).all(axis=1)))
@@ -240,7 +378,9 @@ def _read_array(name: str, layer, frame: int, prim: str, attribute: Attribute) -
             f"{name}: {path}: not finite in {len(array) - finite.reshape(len(array), -1).all(axis=1).sum()} "
             f"entries, first at {at}"
         ], None
-    return [], array
+    # the bounds of no points are as large as can be
+    large = array.dtype.kind == "f" and attribute.name != "extent" and np.abs(array).max(initial=0.0) > LARGEST
+    return ([f"{name}: {path}: has numbers above {LARGEST:g}"], None) if large else ([], array)
 
 
 def _check_arrays(where: str, arrays: dict[str, np.ndarray], metadata: dict) -> list[str]:
@@ -261,10 +401,10 @@ def _check_arrays(where: str, arrays: dict[str, np.ndarray], metadata: dict) -> 
 
 
 def _check_ids(arrays: dict, metadata: dict) -> list[str]:
-    step = np.diff(arrays["ids"])
+    falls = arrays["ids"][1:] < arrays["ids"][:-1]
     problems = []
-    if (step < 0).any():
-        problems.append(f"not in ascending order, first at entry {int(np.argmax(step < 0)) + 1}")
+    if falls.any():
+        problems.append(f"not in ascending order, first at entry {int(np.argmax(falls)) + 1}")
     values, counts = np.unique(arrays["ids"], return_counts=True)
     if (counts > 1).any():
         problems.append(f"id {values[np.argmax(counts > 1)]} occurs {counts[np.argmax(counts > 1)]} times")
@@ -301,7 +441,10 @@ def _check_thickness(arrays: dict, metadata: dict) -> list[str]:
 
 def _check_region(arrays: dict, metadata: dict) -> list[str]:
     negative = arrays["primvars:region"] < 0
-    return [f"negative in {negative.sum()} entries, first at {np.argmax(negative)}"] if negative.any() else []
+    if negative.any():
+        return [f"negative in {negative.sum()} entries, first at {np.argmax(negative)}"]
+    above = arrays["primvars:region"] >= MOST_REGIONS
+    return [f"{MOST_REGIONS} or above in {above.sum()} entries, first at {np.argmax(above)}"] if above.any() else []
 
 
 def _check_black_film(arrays: dict, metadata: dict) -> list[str]:
@@ -318,7 +461,10 @@ def _check_color(arrays: dict, metadata: dict) -> list[str]:
     gain, index = metadata.get("colorGain"), metadata.get("refractiveIndex")
     if thickness is None or not len(thickness) or thickness.min() < 0.0 or gain is None or index is None:
         return []
-    error = np.abs(color - display_color(thickness, gain, index)).max()
+    try:
+        error = np.abs(color - display_color(thickness, gain, index)).max()
+    except (InputError, TypeError) as problem:
+        return [f"cannot be compared with the thickness: {problem}"]
     if error <= COLOR_TOLERANCE:
         return []
     return [f"off by up to {error:.3g} from the colour of the thickness at the gain and index of {ROOT}"]
@@ -334,7 +480,7 @@ def _check_extent(arrays: dict, metadata: dict) -> list[str]:
         return [] if (extent[0] > extent[1]).all() else ["must be empty (minimum above maximum) without points"]
     radius = 0.5 * widths[:, None].astype(np.float64)
     wanted = np.array([(points - radius).min(axis=0), (points + radius).max(axis=0)])
-    if np.abs(extent - wanted).max() <= EXTENT_TOLERANCE * np.abs(wanted).max():
+    if np.abs(extent.astype(np.float64) - wanted).max() <= EXTENT_TOLERANCE * np.abs(wanted).max():
         return []
     return [f"is {extent.tolist()}, points and widths fill {wanted.tolist()}"]
 
@@ -374,7 +520,7 @@ def _check_stages(directory: Path, first: int, root, prims: list[str]) -> list[s
         # USD's list of dependencies knows no templates and takes this one for a file.
         if CLIP_TEMPLATE not in diagnostic.commentary:
             problems.append(f"{ROOT}: USD warns: {' '.join(diagnostic.commentary.split())}")
-    return problems
+    return _few(problems)
 
 
 def _check_through_clips(stage, root, prims: list[str]) -> list[str]:

@@ -248,8 +248,9 @@ def _preview(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from melp_warp.check import check_cache
+    from melp_warp.apart import check_cache
 
+    require(options.folder.is_dir(), "DIR", str(options.folder), "a folder that a run wrote")
     problems = check_cache(options.folder)
     for problem in problems:
         print(problem)

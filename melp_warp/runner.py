@@ -252,10 +252,10 @@ class _Output:
         diagnostics = simulation.diagnostics()
         sets: dict[str, ParticleFrame] = {which: simulation.particles(which) for which in set(self._sets.values())}
         try:
-            self._cache.write(simulation.frame, {prim: sets[which] for prim, which in self._sets.items()})
+            sums = self._cache.write(simulation.frame, {prim: sets[which] for prim, which in self._sets.items()})
         except SimulationError as error:
             raise SimulationError(f"{error}; {_kept(self._folder)}") from error
-        self._log({"frame": simulation.frame, **diagnostics})
+        self._log({"frame": simulation.frame, **diagnostics, "sha256": sums})
         if any(len(one.points) for one in sets.values()):
             self.empty_from = None
         elif self.empty_from is None:
@@ -337,7 +337,8 @@ def draw_frame(folder: Path, frame: int | None, out: Path | None, size: int, dev
     """
     _start_warp(device)
     from melp_warp import preview
-    from melp_warp.usd import list_frames, read_frame
+    from melp_warp.apart import read_frame
+    from melp_warp.usd import list_frames
 
     frames = list_frames(folder)
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
@@ -353,7 +354,8 @@ def draw_frame(folder: Path, frame: int | None, out: Path | None, size: int, dev
 def _draw_run(plan: Plan) -> list[Path]:
     """Draw the last frame, and a sheet of frames spread over the run."""
     from melp_warp import preview
-    from melp_warp.usd import list_frames, read_frame
+    from melp_warp.apart import read_frame
+    from melp_warp.usd import list_frames
 
     last = draw_frame(plan.out, None, None, PREVIEW_SIZE, plan.device)
     frames = list_frames(plan.out)
@@ -369,8 +371,8 @@ def _draw_run(plan: Plan) -> list[Path]:
 
 def _camera(folder: Path, frames: list[int]):
     """One camera for all frames of a run."""
+    from melp_warp.apart import read_frame
     from melp_warp.preview import Camera
-    from melp_warp.usd import read_frame
 
     return Camera.fit([read_frame(folder, frame) for frame in _picked(frames)])
 

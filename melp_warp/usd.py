@@ -22,7 +22,7 @@ import numpy as np
 
 import melp_warp
 from melp_warp.errors import InputError, SimulationError, require
-from melp_warp.files import replacing
+from melp_warp.files import digest, replacing
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import DISPLAY_GAIN, WATER_INDEX, display_color
 
@@ -35,6 +35,17 @@ CLIP_TEMPLATE = f"./{FRAMES}/film.######.usdc"
 METADATA_KEY = "melpWarp"
 THICKNESS_UNIT = "nm"
 MAX_FRAME = 999_999
+LARGEST = 1e9
+"""Largest number in an array of a cache, whatever its unit: its square and fourth power are numbers, too."""
+
+MOST_REGIONS = 10_000
+MOST_TEXT = 4_000_000
+"""Bytes of a root or manifest: ours have some ten thousand."""
+
+DEEPEST = 64
+"""Brackets within brackets in a root or manifest: USD reads them by recursion."""
+
+_COOKIES = {".usda": b"#usda 1.0", ".usdc": b"PXR-USDC"}
 
 _FRAME_NAME = re.compile(r"film\.(\d{6})\.usdc")
 _MATERIAL = "/World/Looks/SoapFilm"
@@ -106,11 +117,12 @@ def _check_arrays(label: str, frame: ParticleFrame) -> None:
         got = (array.shape, str(array.dtype)) if isinstance(array, np.ndarray) else type(array).__name__
         require(got == (shape, dtype), f"{label}.{attribute.field}", got, f"an array {list(shape)} of {dtype}")
     for attribute in stored:
-        finite = np.isfinite(getattr(frame, attribute.field).reshape(count, attribute.columns)).all(axis=1)
+        array = getattr(frame, attribute.field).reshape(count, attribute.columns)
+        finite = np.isfinite(array).all(axis=1)
         if not finite.all():
             at = frame.ids[np.argmin(finite)]
             raise SimulationError(f"{label}.{attribute.field} is not finite at particle id {at}")
-    rising = np.diff(frame.ids) > 0
+    rising = frame.ids[1:] > frame.ids[:-1]
     if not rising.all():
         at = int(np.argmin(rising))
         require(False, f"{label}.ids", frame.ids[at : at + 2].tolist(), "ascending, each once")
@@ -174,14 +186,15 @@ def _reason(error: Exception) -> str:
     return found[1] if found else str(error).strip()
 
 
-def _export(layer, path: Path) -> None:
-    """Write `layer` to `path` such that there is never a part of a file under that name."""
+def _export(layer, path: Path) -> str:
+    """Write `layer` to `path` such that there is never a part of a file under that name; its SHA-256."""
     from pxr import Tf
 
     try:
         with replacing(path) as partial:
             if not layer.Export(str(partial)):
                 raise OSError(f"USD did not write {partial.name}")
+            return digest(partial)
     except (OSError, Tf.ErrorException) as error:
         raise InputError(f"cannot write {path}: {_reason(error)}; files written before are complete") from error
 
@@ -189,20 +202,45 @@ def _export(layer, path: Path) -> None:
 def open_layer(path: Path):
     """Return the layer in a file, read afresh rather than from USD's cache of open layers.
 
+    What it can be told by without USD is told first. USD itself may still hang on what nobody's USD wrote: what comes
+    from elsewhere is opened in a process of its own, see apart.py.
+
     Raises:
-        InputError: the file is missing, truncated or damaged.
+        InputError: the file is missing, truncated, damaged or no such file as a cache has.
     """
-    from pxr import Sdf, Tf
+    from pxr import Sdf
 
     if not path.is_file():
         raise InputError(f"there is no file {path}")
+    _check_cookie(path)
     try:
         layer = Sdf.Layer.OpenAsAnonymous(str(path))
-    except Tf.ErrorException as error:
+    except Exception as error:  # USD's own, and what becomes of text that is not UTF-8
         raise InputError(f"{path} cannot be opened: {_reason(error)}") from error
     if layer is None:
         raise InputError(f"{path} cannot be opened: it is truncated or damaged")
     return layer
+
+
+def _check_cookie(path: Path) -> None:
+    """Refuse another kind of file, and text that is too long or too deep for USD's reader."""
+    cookie = _COOKIES.get(path.suffix, b"")
+    try:
+        with path.open("rb") as file:
+            begin = file.read(MOST_TEXT + 1 if path.suffix == ".usda" else len(cookie))
+    except OSError as error:
+        raise InputError(f"{path} cannot be opened: {error.strerror or error}") from error
+    if not begin.startswith(cookie):
+        raise InputError(f"{path} cannot be opened: it is no {path.suffix} file, or damaged")
+    if len(begin) > MOST_TEXT:
+        raise InputError(f"{path} cannot be opened: it is larger than {MOST_TEXT:,} bytes")
+    if path.suffix == ".usda":
+        deep, deepest = 0, 0
+        for bracket in re.findall(rb"[{}()\[\]]", begin):
+            deep += 1 if bracket in b"{([" else -1
+            deepest = max(deepest, deep)
+        if deepest > DEEPEST:
+            raise InputError(f"{path} cannot be opened: more than {DEEPEST} brackets within brackets")
 
 
 def _new_layer(extension: str, fps: float):
@@ -240,8 +278,15 @@ def _declare(layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0)) -> N
 
 def origin_of(layer, prim: str) -> Origin:
     """Return where the points of a prim are measured from in this layer, m."""
+    from pxr import Gf
+
     spec = layer.GetAttributeAtPath(f"/World/{prim}.{_TRANSLATE}")
-    return tuple(spec.default) if spec else (0.0, 0.0, 0.0)
+    if spec is None:
+        return (0.0, 0.0, 0.0)
+    place = spec.default
+    if not isinstance(place, Gf.Vec3d) or not np.abs(place).max() <= LARGEST:  # not so for NaN either
+        raise InputError(f"/World/{prim}.{_TRANSLATE} must be three numbers within {LARGEST:g}, got {place!r:.80}")
+    return tuple(place)
 
 
 def _frame_layer(frame_index: int, fps: float, frames: Mapping[str, ParticleFrame], gain: float, index: float):
@@ -375,14 +420,17 @@ class CacheWriter:
         _claim(self.directory)
         manifest = _new_layer(".usda", self._fps)
         _declare(manifest, self._prims)
-        _export(manifest, self.directory / MANIFEST)
+        self._manifest = _export(manifest, self.directory / MANIFEST)
 
-    def write(self, frame_index: int, frames: Mapping[str, ParticleFrame]) -> None:
+    def write(self, frame_index: int, frames: Mapping[str, ParticleFrame]) -> dict[str, str]:
         """Add one frame and bring the root up to date.
 
         Args:
             frame_index: number of the frame, file and time code, 0 to 999999; one more than the frame before.
             frames: a frame for each of the prims. Counts may differ from frame to frame, and be 0.
+
+        Returns:
+            SHA-256 of the frame's file, the root and the manifest, by their paths in the folder.
 
         Raises:
             InputError: a wrong number, prim, shape, type or order of ids, or the disk refused the file (full). The
@@ -403,11 +451,13 @@ class CacheWriter:
             )
         ordered = {prim: frames[prim] for prim in self._prims}
         layer = _frame_layer(frame_index, self._fps, ordered, self._gain, self._index)
-        _export(layer, frame_path(self.directory, frame_index))
+        path = frame_path(self.directory, frame_index)
+        digests = {f"{FRAMES}/{path.name}": _export(layer, path)}
         first = frame_index if self._first is None else self._first
         _set_range(self._root, first, frame_index)
-        _export(self._root, self.directory / ROOT)
+        digests |= {ROOT: _export(self._root, self.directory / ROOT), MANIFEST: self._manifest}
         self._first, self._last = first, frame_index
+        return digests
 
 
 # --- reading -------------------------------------------------------------------------------------------------------
@@ -417,7 +467,7 @@ def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> 
     """Return one particle set of one frame, bit for bit as it was written.
 
     Raises:
-        InputError: the frame or prim is not there, or the file is damaged.
+        InputError: the frame or prim is not there, the file is damaged, or it holds what `CacheWriter` would not write.
     """
     path = frame_path(directory, frame)
     layer = open_layer(path)
@@ -425,12 +475,32 @@ def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> 
     for attribute in ATTRIBUTES:
         if attribute.field is None:
             continue
+        array = read_sample(layer, prim, attribute, frame)
+        if isinstance(array, str):
+            raise InputError(f"{path}: /World/{prim}.{attribute.name} {array}")
+        arrays[attribute.field] = array
+    try:
+        read = ParticleFrame(**arrays, origin=origin_of(layer, prim))
+        _check_arrays(prim, read)
+    except (InputError, SimulationError) as error:
+        raise InputError(f"{path}: {error}") from None
+    return read
+
+
+def read_sample(layer, prim: str, attribute: Attribute, frame: int) -> np.ndarray | str:
+    """The value of an attribute at a frame, [n] or [n, 3]; or what is wrong with it, in words."""
+    from pxr import Vt
+
+    try:
         value = layer.QueryTimeSample(f"/World/{prim}.{attribute.name}", float(frame))
         if value is None:
-            raise InputError(f"{path}: /World/{prim}.{attribute.name} has no value at time code {frame}")
+            return f"has no value at time code {frame}"
+        if not isinstance(value, getattr(Vt, attribute.array)):
+            return f"is {type(value).__name__}, must be {attribute.type_name}"
         array = np.array(value, dtype=attribute.dtype)
-        arrays[attribute.field] = array.reshape(-1, 3) if attribute.columns == 3 else array
-    return ParticleFrame(**arrays, origin=origin_of(layer, prim))
+    except Exception as error:  # a value that Python cannot hold
+        return f"cannot be read: {_reason(error)}"
+    return array.reshape(-1, 3) if attribute.columns == 3 else array
 
 
 def read_metadata(directory: str | os.PathLike) -> dict:
@@ -445,16 +515,57 @@ def read_metadata(directory: str | os.PathLike) -> dict:
     """
     path = Path(directory) / ROOT
     layer = open_layer(path)
-    data = layer.customLayerData.get(METADATA_KEY)
-    if data is None:
+    try:
+        data = layer.customLayerData.get(METADATA_KEY)
+        times = {name: getattr(layer, name) for name in ("framesPerSecond", "startTimeCode", "endTimeCode")}
+        prims = point_prims(layer)
+    except Exception as error:  # values that Python cannot hold
+        raise InputError(f"{path} cannot be read: {_reason(error)}") from error
+    if not isinstance(data, dict):
         raise InputError(f"{path}: customLayerData has no {METADATA_KEY}; this is not a cache of melp-warp")
-    world = layer.GetPrimAtPath("/World")
-    return dict(data) | {
-        "framesPerSecond": layer.framesPerSecond,
-        "startTimeCode": layer.startTimeCode,
-        "endTimeCode": layer.endTimeCode,
-        "prims": [child.name for child in world.nameChildren if child.typeName == "Points"] if world else [],
-    }
+    if not all(np.isfinite(time) for time in times.values()) or times["framesPerSecond"] <= 0.0:
+        raise InputError(f"{path}: framesPerSecond, startTimeCode and endTimeCode must be numbers, got {times}")
+    return data | times | {"prims": prims}
+
+
+def point_prims(root) -> list[str]:
+    """Names of the point prims under /World."""
+    world = root.GetPrimAtPath("/World")
+    return [child.name for child in world.nameChildren if child.typeName == "Points"] if world else []
+
+
+def check_sizes(path: Path, frame: ParticleFrame) -> None:
+    """Refuse numbers with which nothing can be drawn or measured, though they can be stored.
+
+    Raises:
+        InputError: names the array.
+    """
+    if not len(frame.points):
+        return
+    for name in ("points", "velocities", "widths", "normals", "thickness"):
+        largest = float(np.abs(getattr(frame, name)).max())
+        require(largest <= LARGEST, f"{path}: {name}", largest, f"at most {LARGEST:g}")
+    low, high = int(frame.region.min()), int(frame.region.max())
+    require(0 <= low <= high < MOST_REGIONS, f"{path}: region", [low, high], f"from 0 to {MOST_REGIONS - 1}")
+
+
+def refers_to(layer) -> list[str]:
+    """What a layer takes from elsewhere besides its clips: files that it is composed of or names, and other prims.
+
+    Nothing but the root's clips is in a cache of ours, and a stage over anything else could open any file there is.
+    """
+    found = [f"file {path}" for path in layer.GetCompositionAssetDependencies()]
+    arcs = ("references", "payload", "inheritPaths", "specializes", "variantSetNames")
+
+    def visit(path) -> None:
+        spec = layer.GetObjectAtPath(path)
+        if path.IsPrimPath() and any(spec.HasInfo(arc) for arc in arcs):
+            found.append(f"other prims at {path}")
+        if path.IsPropertyPath() and str(getattr(spec, "typeName", "")).startswith("asset"):
+            found.append(f"files at {path}")
+
+    layer.Traverse("/", visit)
+    return found
 
 
 # --- other forms ---------------------------------------------------------------------------------------------------
@@ -481,7 +592,7 @@ def flatten(directory: str | os.PathLike, path: str | os.PathLike) -> Path:
     require(path.suffix in (".usd", ".usda", ".usdc"), "path", str(path), "a file name ending in .usdc, .usd or .usda")
     require(not path.exists(), "path", str(path), "a new file")
     root = Path(directory) / ROOT
-    open_layer(root)
+    require(not refers_to(open_layer(root)), "directory", str(directory), "a cache that refers to its own frames alone")
     stage = Usd.Stage.Open(str(root))
     stage.Reload()
     _export(stage.Flatten(addSourceFileComment=False), path)

@@ -7,14 +7,13 @@ from pxr import Sdf, Usd, UsdValidation, Vt
 from melp_warp.check import check_cache
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import display_color
-from melp_warp.usd import ATTRIBUTES, CacheWriter, frame_path
+from melp_warp.usd import CacheWriter, frame_path
 
 COUNT = 30
 FILM = "/World/Film"
 FRAME_1 = "frames/film.000001.usdc"
 UNEVEN = "not one sample for each frame"
 ELSEWHERE = "values from outside the frames"
-ALL_UNEVEN = [f"film.usda: {FILM}: {', '.join(attribute.name for attribute in ATTRIBUTES)}: the stage has {UNEVEN}"]
 
 
 def make_frame(count=COUNT):
@@ -336,23 +335,21 @@ ROOT_FAULTS = {
     ),
     "clips shorter than the range": (
         in_root(set_clips(templateEndTime=2.0)),
-        ["film.usda: /World: clips templateEndTime: is 2.0, must be 3.0", *ALL_UNEVEN],
+        ["film.usda: /World: clips templateEndTime: is 2.0, must be 3.0"],
     ),
     "active offset": (
         in_root(set_clips(templateActiveOffset=0.5)),
-        ["film.usda: /World: clips templateActiveOffset: is 0.5, must be None", *ALL_UNEVEN],
+        ["film.usda: /World: clips templateActiveOffset: is 0.5, must be None"],
     ),
     "no manifest named": (
         in_root(set_clips(manifestAssetPath=Sdf.AssetPath())),
         [
             "film.usda: /World: clips manifestAssetPath: is '', must be './film.manifest.usda'",
-            *ALL_UNEVEN,
-            "film.usda: USD warns: ",
         ],
     ),
     "no clips": (
         in_root(drop_clips),
-        ["film.usda: /World: has no value clips", *ALL_UNEVEN],
+        ["film.usda: /World: has no value clips"],
     ),
     "no material": (in_root(unbind), ["film.usda: /World/Film.material:binding: names no material"]),
     "kind": (in_root(set_info("/World", "kind", "group")), ["film.usda: /World: kind: is 'group', must be"]),
@@ -431,18 +428,15 @@ def test_missing_layers(cache):
 
 
 def test_another_file_pattern(cache):
-    """USD's own warnings, which differ from version to version, may follow."""
     in_root(set_clips(templateAssetPath="./frames/film.####.usdc"))(cache)
-    found = check_cache(cache)
-    assert found[0].startswith("film.usda: /World: clips templateAssetPath: is './frames/film.####.usdc', must be ")
-    assert found[1:2] == ALL_UNEVEN
-    assert all(line.startswith("film.usda: USD warns: ") for line in found[2:])
+    (found,) = check_cache(cache)
+    assert found.startswith("film.usda: /World: clips templateAssetPath: is './frames/film.####.usdc', must be ")
 
 
-def test_what_the_validators_find_is_passed_on(cache):
+def test_what_is_taken_from_elsewhere_is_named_and_not_opened(cache):
+    """A stage over such a root could open any file there is."""
     in_root(lambda layer: layer.subLayerPaths.append("./nothing.usda"))(cache)
-    start = "film.usda: UsdValidation: Error: (usdValidation:CompositionErrorTest.CompositionError) Could not load"
-    assert any(line.startswith(start) and "\n" not in line for line in check_cache(cache))
+    assert check_cache(cache) == ["film.usda: refers to file ./nothing.usda, which no cache does"]
 
 
 def test_no_film_in_the_root(cache):
