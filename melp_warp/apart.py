@@ -49,7 +49,8 @@ class _Reader:
             [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
         self._answers: queue.Queue = queue.Queue()
-        threading.Thread(target=self._listen, daemon=True).start()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
         self._next(START)
 
     def ask(self, question: dict, size: float) -> Iterator[tuple[dict, list[bytes]]]:
@@ -89,6 +90,10 @@ class _Reader:
         """End it."""
         self.process.kill()
         self.process.wait()
+        self._thread.join()
+        with contextlib.suppress(OSError):  # what it was not told
+            self.process.stdin.close()
+        self.process.stdout.close()
 
 
 _reader: _Reader | None = None

@@ -125,8 +125,10 @@ def _check_elsewhere(name: str, layer) -> list[str]:
 def _check_log(directory: Path, on_disk: Sequence[int], at: Callable[[str], None]) -> list[str]:
     """A line for each frame, and files that are what was written; a killed run may leave half a line or one too few."""
     path = directory / LOG
-    if not path.is_file():
+    if not os.path.lexists(path):
         return []
+    if not path.is_file():
+        return [f"{LOG}: is no file"]
     at(LOG)
     frames, digests, problems = [], {}, []
     with path.open("rb") as log:
@@ -178,10 +180,11 @@ def _listed(frames: Sequence[int]) -> str:
     return f"{frames[0]} to {frames[-1]} ({len(frames)})" if len(frames) else "none"
 
 
-def _few(problems: list[str]) -> list[str]:
-    """The first problems of a kind, and how many there are besides."""
-    more = len(problems) - MOST_NAMED
-    return problems if more <= 1 else [*problems[:MOST_NAMED], f"{problems[MOST_NAMED]} (and {more - 1} more)"]
+def _few(faults: Sequence, words: Callable[..., str] = str) -> list[str]:
+    """The first faults of a kind in words, and how many there are besides."""
+    named = [words(fault) for fault in faults[: MOST_NAMED + 1]]
+    more = len(faults) - len(named)
+    return named if more <= 0 else [*named[:-1], f"{named[-1]} (and {more} more)"]
 
 
 def _frame_name(frame: int) -> str:
@@ -325,17 +328,13 @@ def _check_range(root, on_disk: list[int]) -> tuple[list[str], bool]:
     if not (0 <= first <= last <= MAX_FRAME and first == int(first) and last == int(last)):  # not so for NaN
         return [f"{ROOT}: time range {first} to {last}: must be whole numbers from 0 to {MAX_FRAME}, ascending"], False
     wanted = range(int(first), int(last) + 1)
-    problems = _few(
-        [
-            f"{_frame_name(frame)}: missing, the range is {wanted[0]} to {wanted[-1]}"
-            for frame in sorted(set(wanted) - set(on_disk))
-        ]
-    )
-    outside = [
-        f"{_frame_name(frame)}: outside the range {wanted[0]} to {wanted[-1]} of {ROOT}"
-        for frame in sorted(set(on_disk) - set(wanted) - {wanted[-1] + 1})
+    missing = sorted(set(wanted) - set(on_disk))
+    outside = sorted(set(on_disk) - set(wanted) - {wanted[-1] + 1})
+    problems = [
+        *_few(missing, lambda frame: f"{_frame_name(frame)}: missing, the range is {wanted[0]} to {wanted[-1]}"),
+        *_few(outside, lambda frame: f"{_frame_name(frame)}: outside the range {wanted[0]} to {wanted[-1]} of {ROOT}"),
     ]
-    return problems + _few(outside), len(wanted) <= 2 * len(on_disk) + MOST_NAMED
+    return problems, len(wanted) <= 2 * len(on_disk) + MOST_NAMED
 
 
 # --- one frame -----------------------------------------------------------------------------------------------------

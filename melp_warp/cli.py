@@ -263,11 +263,13 @@ def _check(options: argparse.Namespace) -> int:
 def _measure(options: argparse.Namespace) -> int:
     import json
 
+    from melp_warp.files import replacing
     from melp_warp.measure import measure_cache
 
     found = measure_cache(options.folder, options.frame, options.which, options.spacing)
     if options.json is not None:
-        options.json.write_text(json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
+        with replacing(options.json) as temporary:
+            temporary.write_text(json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
     print(found.table())
     return OK
 

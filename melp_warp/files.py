@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from melp_warp.errors import InputError
+from melp_warp.errors import InputError, require
 
 MOST_MEMBERS = 200
 """Arrays that a file of arrays may hold."""
@@ -29,10 +29,15 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     a dot, which keeps a leftover out of patterns such as film.*.usdc. If the block fails it is removed.
 
     Raises:
+        InputError: the folder is the system's.
         OSError: the folder is missing or cannot be written, or the disk is full.
     """
     path = Path(path)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=f".tmp{path.suffix}", dir=path.parent)
+    require(not is_systems(path.parent), "file", str(path), "in a folder of a disk")
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=f".tmp{path.suffix}", dir=path.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
     os.close(handle)
     temporary = Path(name)
     try:
@@ -46,6 +51,12 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def is_systems(folder: Path) -> bool:
+    """Whether a folder holds no files but devices and processes."""
+    top = folder.resolve().parts[1:3]
+    return top[:1] in (("dev",), ("proc",), ("sys",)) and top != ("dev", "shm")
 
 
 def sync(path: Path, flags: int) -> None:

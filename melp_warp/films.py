@@ -59,6 +59,8 @@ def _fit_film(cloud: Cloud, patches: Patches, a: int, b: int) -> Sphere | None:
         if len(chosen) >= (FEWEST if cut == CUTS[-1] else ENOUGH):
             weights = np.concatenate([np.full(len(side), 1.0 / max(len(side), 1)) for side in sides])
             sign = np.where(cloud.region[chosen] == a, 1.0, -1.0)
+            if not np.ptp(cloud.x[chosen], axis=0).any():
+                return None  # all in one point, as no particles of a film are
             side = -sign if all(map(len, sides)) else np.zeros(len(chosen))
             return fit_sphere(cloud.x[chosen], sign[:, None] * cloud.normal[chosen], weights, side)
     return None

@@ -268,7 +268,7 @@ def _enclosed(x: np.ndarray, normal: np.ndarray, area: np.ndarray) -> tuple[floa
     moments = y.T @ n
     volume = float(np.trace(moments) / 3.0)
     gap = np.abs(n.sum(axis=0)).max() / area.sum()
-    if gap > _OPEN or np.abs(moments - volume * np.eye(3)).max() > _OPEN * abs(volume):
+    if volume == 0.0 or gap > _OPEN or np.abs(moments - volume * np.eye(3)).max() > _OPEN * abs(volume):
         return None, mean
     return volume, mean + 0.5 * np.sum(y * y * n, axis=0) / volume
 

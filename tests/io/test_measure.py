@@ -307,6 +307,7 @@ def test_the_command_takes_a_frame_a_set_and_a_spacing(cache, tmp_path):
         (["--set", "l"], "--set: invalid choice: 'l'"),
         (["--spacing", "0"], "spacing must be above 0 m, got 0.0"),
         (["--json", "no/such/folder/m.json"], "no/such/folder/m.json: No such file or directory"),
+        (["--json", "/dev/m.json"], "file must be in a folder of a disk, got '/dev/m.json'"),
     ],
 )
 def test_wrong_options(arguments, words, cache, capsys):
