@@ -56,7 +56,7 @@ class _Reader:
     def ask(self, question: dict, size: float) -> Iterator[tuple[dict, list[bytes]]]:
         """Send a question about files of that many bytes; yield what comes back, the last one marked "done"."""
         try:
-            self.process.stdin.write(json.dumps(question).encode() + b"\n")
+            self.process.stdin.write(json.dumps({**question, "cwd": os.getcwd()}).encode() + b"\n")
             self.process.stdin.flush()
         except OSError:
             raise _Broken("breaks down on it") from None
@@ -199,6 +199,7 @@ def serve() -> None:
     for line in sys.stdin.buffer:
         question = json.loads(line)
         try:
+            os.chdir(question["cwd"])
             _limit_memory(0)
             _ANSWERS[question["call"]](question, say)
         except InputError as error:

@@ -338,6 +338,15 @@ def stopped(ask):
     return sleeping
 
 
+def test_paths_are_those_of_the_folder_to_work_in(sound, tmp_path, monkeypatch, capfd):
+    """Also after it was changed."""
+    for name in ("a", "b"):
+        shutil.copytree(sound, tmp_path / name / "cache")
+        monkeypatch.chdir(tmp_path / name)
+        assert cli.main(["check", "cache"]) == 0
+        shutil.rmtree(tmp_path / name / "cache")
+
+
 def test_a_folder_to_work_in_is_not_imported_from(sound, tmp_path, monkeypatch, capfd):
     """A hostile folder may hold Python files named like modules."""
     monkeypatch.chdir(tmp_path)
