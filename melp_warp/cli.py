@@ -1,4 +1,4 @@
-"""The command line: `melp-warp run | scenes | preview | check | measure | tradeoff`."""
+"""The command line: `melp-warp run | scenes | preview | check | measure | report | tradeoff`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_preview(commands)
     _add_check(commands)
     _add_measure(commands)
+    _add_report(commands)
     _add_tradeoff(commands)
     return parser
 
@@ -101,6 +103,7 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     )
     run.add_argument("--preview", action="store_true", help="draw preview.png and contact.png at the end")
     run.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    run.add_argument("--no-budget", action="store_true", help="keep no energy budget")
     run.add_argument("--strict", action="store_true", help="exit with 1 where the run has notices")
     run.add_argument(
         "--estimate", action="store_true", help="print memory, time and disk of the run from a few steps; write nothing"
@@ -150,6 +153,16 @@ def _add_measure(commands: argparse._SubParsersAction) -> None:
     measure.set_defaults(command=_measure)
 
 
+def _add_report(commands: argparse._SubParsersAction) -> None:
+    report = commands.add_parser(
+        "report",
+        help="print and draw the energy budget of a run",
+        description="Print the energy budget of a run and draw it as budget.png (needs matplotlib).",
+    )
+    report.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    report.set_defaults(command=_report_budget)
+
+
 def _add_tradeoff(commands: argparse._SubParsersAction) -> None:
     study = commands.add_parser(
         "tradeoff",
@@ -174,7 +187,7 @@ def _run(options: argparse.Namespace) -> int:
     script = load_scene(options.scene)
     values = find_quality(options.quality).values(script, script.parameters.parse(_settings(options)))
     plan = runner.Plan(
-        scene=script.build(values),
+        scene=replace(script.build(values), budget=not options.no_budget),
         name=script.name,
         parameters=values.as_dict(),
         out=options.out if options.out is not None else Path("out") / script.name,
@@ -271,6 +284,15 @@ def _measure(options: argparse.Namespace) -> int:
         with replacing(options.json) as temporary:
             temporary.write_text(json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
     print(found.table())
+    return OK
+
+
+def _report_budget(options: argparse.Namespace) -> int:
+    from melp_warp.report import draw_budget, print_budget, read_budget
+
+    lines = read_budget(options.folder)
+    print_budget(lines)
+    print(draw_budget(lines, options.folder / "budget.png"))
     return OK
 
 

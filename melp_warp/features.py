@@ -27,6 +27,7 @@ class Features:
         foam: there are several regions, or walls, to touch.
         single: E are all particles there are, and carry the film along (`SingleLayer`).
         explicit: the normal motion is stepped by the present force over the mass.
+        budget: the energy budget is kept; a single layer has none.
     """
 
     closed: bool
@@ -43,6 +44,7 @@ class Features:
     foam: bool
     single: bool
     explicit: bool
+    budget: bool
 
     @classmethod
     def of(cls, scene: Scene) -> Features:
@@ -68,6 +70,7 @@ class Features:
             explicit=single or (scene.numerics.scheme == "explicit" and not foam),
             air=air,
             dragged=air and scene.shape.closed and scene.surroundings.air_drag > 0.0,
+            budget=scene.budget and not single,
         )
 
     def kernels(self) -> list[str]:
@@ -91,5 +94,6 @@ class Features:
             "lines": self.foam,
             "exchange": self.foam,
             "regions": self.foam,
+            "budget": self.budget,
         }
         return [name for name, wanted in needed.items() if wanted]

@@ -142,7 +142,7 @@ class FoamMembrane:
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
         self.whole = film.zeros(film.regions)
-        self._fall, self._missing, self._recoil, self._found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
+        self._fall, self._missing, self._recoil, self.found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
         self._balance, self._drift, self._pull = (film.zeros(film.regions, wp.vec3) for _ in range(3))
         self._held, self._weight = film.zeros(film.regions), film.parts(wp.vec4)
         self._owed = film.zeros(film.regions, wp.vec4)
@@ -245,8 +245,8 @@ class FoamMembrane:
         """Advance the normal velocity of E by dt and set `u_mid`."""
         film, e = self.film, self.state.e
         copy(self.start, self.state.motion)
-        self._find_motion(self._found)
-        film.launch_e(ko.hold_motion_e, [e.normal, e.region, self._found, self.state.motion], [e.u])
+        self._find_motion(self.found)
+        film.launch_e(ko.hold_motion_e, [e.normal, e.region, self.found, self.state.motion], [e.u])
         self._fall_freely(dt)
         self._find_clusters()
         film.launch_e(kf.predict_foam_e, [e.x, e.u, e.normal, e.region, self.state.motion, dt], [self.predicted])

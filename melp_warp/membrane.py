@@ -35,6 +35,11 @@ OFFSET_LIMIT = 0.1
 """Largest offset that mends the volume in one step, in spacings."""
 
 
+def _softer(bent: float, mass: float) -> float:
+    """What the bend of a film takes off the matrix, as `kernels.membrane.softening`. kg/m^2."""
+    return bent * max(1.0 - 8.0 * bent / mass, 0.0)
+
+
 class _Pair:
     """Right-hand side and solution."""
 
@@ -43,7 +48,11 @@ class _Pair:
 
 
 class FilmResponse:
-    """Change of normal velocity under a load, (m (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b, without air."""
+    """Change of normal velocity under a load, (m (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b, without air.
+
+    Attributes:
+        left_out: [1] what of c 2/R^2 is not in the matrix where steps are long, at the mean mass, kg/m^2.
+    """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.geometry = film, state, geometry
@@ -56,11 +65,14 @@ class FilmResponse:
         self.solvers = (self.load, self.unit)
         self.diag, self._operator = operator.diag, operator
         self._blur = geometry.blur(numerics.curvature)
-        self._stiffness = Setting(film.device)
+        self._stiffness, self._left_out = Setting(film.device), Setting(film.device)
+        self.left_out = self._left_out.array
 
     def prepare(self, stiffness: float) -> None:
         """Set c = 2 sigma theta^2 dt^2 (N s^2/m = kg)."""
         self._stiffness.at(stiffness)
+        bent = 2.0 * stiffness / self.film.radius**2
+        self._left_out.at(bent - _softer(bent, self.film.material.areal_mass))
 
     def solve(self) -> tuple[wp.array, wp.array]:
         """Responses to the load `load.b` and to the unit pressure `unit.b`, the last ones as first guesses."""
@@ -84,7 +96,11 @@ class FilmResponse:
 
 
 class AirResponse:
-    """The same with the air's added mass: ((m + A(-lap_s)) (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b."""
+    """The same with the air's added mass: ((m + A(-lap_s)) (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b.
+
+    Attributes:
+        left_out: as that of `FilmResponse`.
+    """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.geometry, self.state = film, geometry, state
@@ -112,7 +128,8 @@ class AirResponse:
             geometry.blur("sph"),
         )
         self._blur = geometry.blur(numerics.curvature)
-        self._stiffness = -1.0
+        self._stiffness, self._left_out = -1.0, Setting(film.device)
+        self.left_out = self._left_out.array
         self._load_scalar = wp.clone(self.solver.scalar)
 
     def prepare(self, stiffness: float) -> None:
@@ -122,7 +139,8 @@ class AirResponse:
             mass = film.material.areal_mass
             ringing = mass + air.added_mass(3.0 * self.low, film.surroundings.air_density, film.radius)
             bent = 2.0 * stiffness / film.radius**2
-            softer = bent * max(1.0 - 8.0 * bent / float(ringing), 0.0)  # as `softening`
+            softer = _softer(bent, float(ringing))
+            self._left_out.at(bent - softer)
             new = air.response(mass, stiffness, *self.poles, self._blur, softer)
             self.solver.set_function(*new, self.low)
             self._stiffness = stiffness
@@ -176,6 +194,7 @@ class Membrane:
             large step does not resolve, and the operator in the matrix is softer for the shortest than the force: they
             grow. So theta rises to 1 where the shortest wave runs more than `MIDPOINT_CFL` spacings in a step.
         theta_whole: the same for the motion of the film as a whole, which has no stiffness.
+        share: [1] theta; 0 for the explicit scheme, which takes the force where the film is.
         ahead: [1] theta dt, s: how far ahead the force is taken; 0 for the explicit scheme.
         lumped: air that every wave of a single layer takes along, that of mode n = 2, kg/m^2.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
@@ -231,6 +250,7 @@ class Membrane:
         self.drag = AirDrag(film, state) if film.features.dragged else None
         self.whole = film.zeros(1) if film.features.dragged else None
         self.ahead, self._theta, self._recoil = (Setting(film.device) for _ in range(3))
+        self.share = self.ahead.array if self.explicit else self._theta.array
 
     def prepare(self, dt: float) -> None:
         """Set what depends on the step dt (s) to come."""

@@ -42,6 +42,7 @@ class Scene:
         fps: frames a second.
         dt: largest time step, s; None for one set by `numerics.cfl`.
         seed: seed of everything random.
+        budget: whether the energy budget is kept (`melp_warp.budget`); it changes nothing else.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Scene:
     fps: float = 60.0
     dt: float | None = None
     seed: int = 0
+    budget: bool = True
 
     def __post_init__(self):
         require(isinstance(self.e_count, int) and self.e_count >= 1, "e_count", self.e_count, "a whole number above 0")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 import time
@@ -9,6 +10,7 @@ import time
 import numpy as np
 import warp as wp
 
+from melp_warp.budget import Ledger, Reading
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
 from melp_warp.events import Events
 from melp_warp.files import load_arrays, save_arrays
@@ -77,6 +79,7 @@ class Simulation:
     Attributes:
         has_l: whether there are Lagrangian particles.
         notices: what whoever uses the results must know of them.
+        ledger: the energy budget so far; None where the scene wants none.
         spilled: liquid that left with films that popped, kg.
         origin: [3] float64, m: where `particles` measures from, the same for the whole run.
         watched: whether every step is checked at once, which a GPU would have to be waited for; else between frames.
@@ -109,6 +112,8 @@ class Simulation:
         self.events = Events(scene.shape) if self.film.features.foam else None
         self.notices = Notices()
         self._look_at_shape()
+        self.ledger: Ledger | None = None
+        self._open_ledger()
         self._remark()
 
     @property
@@ -180,9 +185,27 @@ class Simulation:
         self._remark()
         self._recentre()
         self._snapshot.save(self.state)
+        if self.ledger is not None:
+            self.stepper.budget.save()
+
+    def _open_ledger(self) -> None:
+        """Start an energy budget, where the scene wants one."""
+        features = self.film.features
+        if features.budget:
+            self.ledger = Ledger(whole=features.foam or not features.air)
+            self.stepper.budget.restart()
+            self.ledger.open(self._weighed())
+
+    def _weighed(self) -> Reading:
+        """The budget with the liquid where it is now (reads back)."""
+        self.stepper.budget.weigh()
+        return self.stepper.budget.read()
 
     def _remark(self) -> None:
         """Note what must be known of the frame that is done (reads back)."""
+        if self.ledger is not None:
+            self.ledger.take(self.stepper.budget.read(), self.time - self._last_dt)
+            self.ledger.remark(self.notices)
         self.stepper.remark(self.notices)
         self.notices.end(self.frame)
 
@@ -242,17 +265,20 @@ class Simulation:
     def _mark(self) -> tuple:
         """What to go back to if the coming frame fails, besides the arrays, which the snapshot holds."""
         events = self.events.mark() if self.events else None
-        return self.film, self.stepper, self._snapshot, dict(self._ids), self.spilled, events
+        return self.film, self.stepper, self._snapshot, dict(self._ids), self.spilled, events, copy.copy(self.ledger)
 
     def _go_back(self, good: tuple) -> None:
         """Return to the last good frame, regions that changed since included."""
         room = self.film.room
-        film, stepper, snapshot, ids, self.spilled, events = good
+        film, stepper, snapshot, ids, self.spilled, events, self.ledger = good
         film.room = room
         self._ids = dict(ids)
         self._adopt(film, stepper)
         self._snapshot = snapshot
         self._snapshot.restore(self.state)
+        if self.ledger is not None:
+            self.ledger = copy.copy(self.ledger)
+            self.stepper.budget.restore()
         if self.events:
             self.events.back(events)
         self._renew()
@@ -262,8 +288,10 @@ class Simulation:
         self._last_dt, self._step_limit = 0.0, 0.0
         if self.gone:
             return
-        film, kept, area = self.film, Snapshot(self.state), self.stepper.geometry.area
+        film, kept, area, budget = self.film, Snapshot(self.state), self.stepper.geometry.area, self.stepper.budget
         self.stepper = make_stepper(film, self.state)
+        if budget is not None:
+            self.stepper.budget.take(budget)
         if film.features.foam:
             self.stepper.fields.update()
             self.stepper.membrane.start_motion()
@@ -291,7 +319,10 @@ class Simulation:
             self.step(left)
             return left
         self._step_limit = self.largest_step()
-        self.step(left / math.ceil(left / self._step_limit - 1e-6))
+        count = math.ceil(left / self._step_limit - 1e-6)
+        if count == 1 and self.ledger is not None:
+            self.stepper.budget.weigh()
+        self.step(left / count)
         self._substeps += 1
         return self._last_dt
 
@@ -306,8 +337,12 @@ class Simulation:
             stored = Stored(self.state.numpy(), dict(self._ids), list(self.film.labels), self.spilled)
             change(stored)
             self.stepper.remark(self.notices)
+            if self.ledger is not None:
+                self.ledger.cut(self.stepper.budget.read())
             self._ids, self.spilled = stored.ids, stored.spilled
             self._adopt(*self._resumed(stored.arrays, tuple(stored.labels)))
+            if self.ledger is not None:
+                self.ledger.open(self._weighed())
 
     def _resumed(self, stored: dict[str, np.ndarray], labels: tuple[int, ...]) -> tuple[Film, Stepper]:
         """Film and stepper of this foam with other regions."""
@@ -431,6 +466,7 @@ class Simulation:
             "e_spread": float(stepper.redistribution.spread.numpy()[:, 0].max()) if stepper.redistribution else 0.0,
             "lost": len(stepper.lists.strays),
             "notices": dict(self.notices.of_frame),
+            **({"budget": self.ledger.line()} if self.ledger is not None else {}),
             "wall_ms": {name: 1e3 * seconds for name, seconds in stepper.wall.items() if seconds > 0.0},
         }
         return {k: float(v) if isinstance(v, np.floating) else v for k, v in result.items()}
@@ -558,6 +594,7 @@ class Simulation:
         """Go on from the values of a state of these sizes."""
         self.state.load(stored)
         self.renew()
+        self._open_ledger()
 
     def renew(self) -> None:
         """Go on from the state as it is now, particles that were moved by hand included."""

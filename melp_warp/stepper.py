@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.advance import EulerianAdvance, LagrangianAdvance
+from melp_warp.budget import Budget
 from melp_warp.errors import LeapError, SimulationError
 from melp_warp.film import Film
 from melp_warp.foam import Exchange, FoamMembrane
@@ -79,6 +80,7 @@ class Stepper:
         self.redistribution = self.e_advance.redistribution if f.moving else None
         self.l_advance = LagrangianAdvance(film, state, self.lists, self.geometry) if f.lagrangian else None
         self.exchange = Exchange(film, state, self.lists, self.fields) if f.exchanges else None
+        self.budget = Budget(film, state, self) if f.budget else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
         still = film.zeros(1, wp.vec3)
         self.frame, self.passed = (self.membrane.frame, self.membrane.passed) if f.moving else (still, still)
@@ -176,12 +178,16 @@ class Stepper:
     def _find_fields(self) -> None:
         self.fields.update()
         self.forces.update()
+        if self.budget is not None:
+            self.budget.open_step()
         self._guard_e("l_to_e")
 
     def _solve_normal(self) -> None:
         self.membrane.solve(self.dt.array)  # (12), gas
         if self.tangential is None:
             self._slow_down(self._all)
+            if self.budget is not None:
+                self.budget.book_forces()
         self._guard_e("membrane")
 
     def _solve_tangential(self) -> None:
@@ -201,6 +207,8 @@ class Stepper:
         flow = self.tangential
         self.transfer.e_to_l(flow.dilation, flow.before, flow.theta, self.dt.array)  # (16)-(18), (8)
         flow.finish()
+        if self.budget is not None:
+            self.budget.book_forces()
         self._guard_l("e_to_l")
 
     def _advance_e(self) -> None:
@@ -211,6 +219,8 @@ class Stepper:
         self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19), (20)
         if foam:
             self.membrane.recall()
+        if self.budget is not None and (foam or self.redistribution is not None):
+            self.budget.book_shifts()
         if self.rim is not None:
             self.rim.extend()
         self.lists.record_e(self.e_advance.x_old, self.at_rest, dt)

@@ -1,0 +1,364 @@
+"""The energy budget of a run: where the energy is, what it went into and what is left unexplained (docs/energy.md).
+
+A `Budget` sums on the device, a few kernels a step, and changes nothing that the stages see. It is opened when E hold
+all that L carry, at the start of each step, so it lags by the last step of a frame. A `Ledger` adds up frames.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from melp_warp.film import Film
+from melp_warp.kernels import budget as kb
+from melp_warp.launch import launch
+from melp_warp.notices import Notices
+from melp_warp.state import State
+
+if TYPE_CHECKING:
+    from melp_warp.stepper import Stepper
+
+STORE, WORK, DISSIPATION, LOSS = "stores", "work", "dissipation", "losses"
+KINDS = (STORE, WORK, DISSIPATION, LOSS)
+
+UNEXPLAINED = 0.01
+"""Rest over what moves from which on a run says so."""
+
+RAISED = 0.001
+"""Energy that the numerics of a stage may make over what moves."""
+
+FAINTEST = 1e-7
+"""Least energy that moves over what is stored in the surfaces: what float32 tells apart."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A line of the budget.
+
+    Attributes:
+        name: as in run.jsonl.
+        kind: `STORE`, `WORK` of outside forces, `DISSIPATION` by physics or numerical `LOSS`.
+        meaning: one line.
+        slots: what it is the sum of: slots of `kernels.budget` and their signs; empty where the host finds it.
+    """
+
+    name: str
+    kind: str
+    meaning: str
+    slots: tuple[tuple[int, int], ...] = ()
+
+
+TERMS = (
+    Term("kinetic", STORE, "motion of the liquid", ((kb.KINETIC, 1),)),
+    Term("air", STORE, "motion of the air that films take along", ((kb.AIR, 1),)),
+    Term("surface", STORE, "free energy of the surfaces, surfactant included", ((kb.SURFACE, 1),)),
+    Term("gas", STORE, "the gas inside against the pressure outside, since the start", ((kb.GAS, 1),)),
+    Term("gravity", STORE, "height of the liquid, since the start"),
+    Term("lift", WORK, "the lighter gas that carries the film", ((kb.LIFT, 1),)),
+    Term("push", WORK, "other forces from outside", ((kb.PUSH, 1),)),
+    Term("drag", DISSIPATION, "drag of the air along the film", ((kb.DRAG, 1),)),
+    Term("viscosity", DISSIPATION, "viscosity of the flow in the film", ((kb.VISCOSITY, 1),)),
+    Term("damping", DISSIPATION, "normal motion that the air takes up", ((kb.DAMPING, 1),)),
+    Term("membrane", LOSS, "scheme of the normal motion", ((kb.MEMBRANE, 1), (kb.BENDING, 1), (kb.PRESSING, 1))),
+    Term("flow", LOSS, "scheme of the flow along the film", ((kb.FLOW, 1), (kb.SPREADING, 1))),
+    Term("splitting", LOSS, "viscosity solved apart from the flow", ((kb.SPLITTING, 1),)),
+    Term("hold", LOSS, "momentum of the film as a whole held", ((kb.HOLD, 1),)),
+    Term(
+        "transfer", LOSS, "from E to L, along with L, back to E; normals that turn", ((kb.ENDED, 1), (kb.STARTED, -1))
+    ),
+    Term("redistribution", LOSS, "shifts of E", ((kb.SHIFTS, 1),)),
+    Term("offset", LOSS, "surface moved to hold the volume", ((kb.OFFSETS, 1),)),
+    Term("events", LOSS, "films that popped or merged, and those that came"),
+)
+"""All terms: whoever adds a phenomenon adds a line here and a kernel that fills its slot.
+
+stores + dissipation + losses - work stays the same but for the rest.
+"""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a `Budget` has summed up.
+
+    Attributes:
+        stored: terms stored at the start of the last step, J.
+        opened: at the start of the first.
+        flows: what all steps but the last have done, J.
+        pending: what the last one has done.
+        height: energy of the liquid's height, J.
+        liquid: kg.
+        surfactant: on one interface, mol.
+        momentum: [3] of the liquid, kg m/s.
+        impulse: [3] of outside forces in all steps but the last, kg m/s.
+        fresh: whether there was no step yet.
+    """
+
+    stored: dict[str, float]
+    opened: dict[str, float]
+    flows: dict[str, float]
+    pending: dict[str, float]
+    height: float
+    liquid: float
+    surfactant: float
+    momentum: np.ndarray
+    impulse: np.ndarray
+    fresh: bool
+
+
+class Budget:
+    """Sums of the energy terms on the device. Made only where the scene wants a budget.
+
+    Attributes:
+        part: [parts, SLOTS] of the step in progress.
+        stored: [SLOTS] what was stored at the start of the last step, J.
+        opened: [SLOTS] at the start of the first one.
+        flow: [SLOTS] what all steps but the last have done, J.
+    """
+
+    def __init__(self, film: Film, state: State, stepper: Stepper):
+        self.film, self.state = film, state
+        self._stages = weakref.proxy(stepper)  # which owns this
+        f = film.features
+        parts = film.parts().shape[0]
+        self.part = wp.zeros((parts, kb.SLOTS), dtype=wp.float64, device=film.device)
+        self._lying = wp.zeros((parts, 8), dtype=wp.float64, device=film.device)
+        self.stored, self.opened, self.flow = (film.zeros(kb.SLOTS, wp.float64) for _ in range(3))
+        self.fresh = wp.full(1, 1, dtype=wp.int32, device=film.device)
+        self.before = film.zeros(film.n_e, wp.vec3)
+        self._no_air = film.zeros(film.regions)
+        self._whole = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
+        self._bending = film.zeros(film.n_e) if f.moving and not f.foam else None
+        self._evolving = (self.part, self._lying, self.stored, self.opened, self.flow, self.fresh)
+        self._saved = [wp.clone(a) for a in self._evolving]
+
+    def open_step(self) -> None:
+        """Note what is stored, once E hold what L carry, and settle the step before."""
+        film, e, m, s = self.film, self.state.e, self.film.material, self._stages
+        cover = s.membrane.cover if film.features.foam else None
+        film.launch_parts(
+            kb.open_step_chunks,
+            [
+                *(e.mass, e.surfactant, s.geometry.area, s.geometry.kappa, s.fields.gamma, cover, e.u, e.normal),
+                *(film.tension, film.slope, m.rt, self._air(), self.state.gas, film.surroundings.pressure),
+                *(int(film.features.closed), int(film.features.moving), film.first),
+            ],
+            [self.part, self.before],
+        )
+        film.launch_one(kb.settle_step, [self.part, self.fresh], [self.stored, self.opened, self.flow])
+
+    def book_forces(self) -> None:
+        """Book what the forces of a step have done, once E have the velocity of its end."""
+        film, e, s = self.film, self.state.e, self._stages
+        membrane, flow = s.membrane, s.tangential
+        f = film.features
+        held = f.moving and f.closed
+        if self._bending is not None:
+            film.launch_e(
+                kb.bend_film_e,
+                [
+                    *(e.x, e.normal, s.geometry.area, s.fields.gamma, membrane.u_mid, membrane.start),
+                    *(s.geometry.weight, s.lists.ee.rows, film.n_e, film.material.tension, film.slope),
+                    *(2.0 / film.radius**2, membrane.share, s.dt.array),
+                ],
+                [self._bending],
+            )
+        film.launch_parts(
+            kb.book_forces_chunks,
+            [
+                *(e.mass, s.geometry.area, e.normal, self.before, e.u, membrane.u_mid if f.moving else None),
+                *((membrane.found, membrane.start) if held else (None, None)),
+                *(self._air(), self._bending, membrane.response.left_out if self._bending is not None else None),
+                membrane.rigid if held and not f.foam else None,
+                *(s.fields.gamma, flow.solver.x if flow and flow.solver else None, film.slope),
+                *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.gravity),
+                *(film.surroundings.drag, film.surroundings.damping, flow.theta if flow else self._whole),
+                *(self.state.gas, film.surroundings.pressure, int(f.closed), s.dt.array, film.first),
+            ],
+            [self.part],
+        )
+
+    def book_shifts(self) -> None:
+        """Book what shifts of E have done to their velocities."""
+        film, e, s = self.film, self.state.e, self._stages
+        film.launch_parts(
+            kb.book_shifts_chunks,
+            [e.mass, s.geometry.area, e.normal, e.u, self._air(), film.first],
+            [self.part],
+        )
+
+    def weigh(self) -> None:
+        """Note where the liquid lies; on the host's word alone, as only the last step of a frame needs it."""
+        film, state = self.film, self.state
+        p, n = (state.l, film.n_l) if state.l is not None else (state.e, film.n_e)
+        launch(
+            kb.lie_chunks,
+            self._lying.shape[0],
+            [p.mass, p.surfactant, p.x, p.u, n],
+            [self._lying],
+            film.device,
+        )
+
+    def _air(self) -> wp.array:
+        return self._stages.membrane.added if self.film.features.foam else self._no_air
+
+    def read(self) -> Reading:
+        """What has been summed up so far (reads back)."""
+        stored, opened, flow = (a.numpy() for a in (self.stored, self.opened, self.flow))
+        liquid, surfactant, *lying = self._lying.numpy().sum(axis=0).tolist()
+        place = np.array(lying[:3]) + liquid * self.state.origin
+        step = self.part.numpy().sum(axis=0)
+        step[[kb.OFFSETS, kb.STARTED, kb.ENDED]] = 0.0  # counted, or on the way
+        return Reading(
+            *(_sums(values) for values in (stored, opened, flow, step)),
+            height=-float(np.dot(self.film.surroundings.gravity, place)),
+            liquid=liquid,
+            surfactant=surfactant,
+            momentum=np.array(lying[3:]),
+            impulse=flow[kb.IMPULSE : kb.IMPULSE + 3],
+            fresh=bool(self.fresh.numpy()[0]),
+        )
+
+    def restart(self) -> None:
+        """Forget all steps."""
+        for array in self._evolving:
+            array.zero_()
+        self.fresh.fill_(1)
+        self.save()
+
+    def save(self) -> None:
+        """Keep the sums as they are after a good frame."""
+        for kept, own in zip(self._saved, self._evolving, strict=True):
+            wp.copy(kept, own)
+
+    def restore(self) -> None:
+        """Put them back."""
+        for kept, own in zip(self._saved, self._evolving, strict=True):
+            wp.copy(own, kept)
+
+    def take(self, other: Budget) -> None:
+        """Go on with the sums of another one, of a film with as many regions."""
+        for mine, theirs in ((self._evolving, other._evolving), (self._saved, other._saved)):
+            for own, old in zip(mine, theirs, strict=True):
+                wp.copy(own, old)
+
+
+def _sums(slots: np.ndarray) -> dict[str, float]:
+    """Terms from the sums of the slots, J."""
+    return {t.name: float(sum(sign * slots[slot] for slot, sign in t.slots)) for t in TERMS}
+
+
+def _of(kind: str) -> list[str]:
+    """Names of the terms of a kind."""
+    return [t.name for t in TERMS if t.kind == kind]
+
+
+def _spent(flows: Mapping[str, float]) -> float:
+    """What left the stores, J."""
+    out = sum(flows[name] for kind in (DISSIPATION, LOSS) for name in _of(kind))
+    return out - sum(flows[name] for name in _of(WORK))
+
+
+class Ledger:
+    """The budget of a run, frame by frame, over changes of regions too.
+
+    Attributes:
+        time: that of the last reading, s.
+        stores: name -> J.
+        flows: name -> J since the start.
+        rest: what the stores hold more than the flows explain, J.
+        moved: largest of kinetic energy and what has been dissipated and lost so far, J: the rest is measured by it.
+
+    Args:
+        whole: whether all stores are known. That of the air around a single film is not: its rest says nothing.
+    """
+
+    def __init__(self, whole: bool = True):
+        self.whole = whole
+        self.time = 0.0
+        self.stores: dict[str, float] = {}
+        self.flows = dict.fromkeys((t.name for t in TERMS if t.kind != STORE), 0.0)
+        self.rest, self.moved = 0.0, 0.0
+        self._first: Reading | None = None  # where the liquid was when the run started
+        self._past = dict(self.flows)  # of the budgets before
+        self._pushed, self._impulse = np.zeros(3), np.zeros(3)
+        self._start: dict[str, float] = {}
+        self._owed: float | None = None  # what is stored by the flows up to a change of regions
+        self._height = 0.0
+        self._balance: dict[str, object] = {}
+
+    @property
+    def share(self) -> float:
+        """Rest over what moves, 0 where nothing does that float32 could tell."""
+        least = FAINTEST * abs(self.stores.get("surface", 0.0))
+        return abs(self.rest) / self.moved if self.moved > least else 0.0
+
+    def open(self, reading: Reading) -> None:
+        """Take the place of the liquid at the start of a run, or of one that goes on with other regions."""
+        self._first = self._first or reading
+        self._height = reading.height
+
+    def take(self, reading: Reading, time: float) -> None:
+        """Go on to a reading at `time` (s)."""
+        if reading.fresh:
+            return
+        if not self._start:
+            self._start = self._stores(reading.opened, self._height)
+        if self._owed is not None:
+            opened = sum(self._stores(reading.opened, self._height).values())
+            self._past["events"] += self._owed - opened
+            self._owed = None
+        self.time, self.stores = time, self._stores(reading.stored, reading.height)
+        self.flows = {name: past + reading.flows[name] for name, past in self._past.items()}
+        self._impulse = self._pushed + reading.impulse
+        self.rest = sum(self.stores.values()) - sum(self._start.values()) + _spent(self.flows)
+        spent = sum(self.flows[name] for kind in (DISSIPATION, LOSS) for name in _of(kind))
+        self.moved = max(self.moved, self.stores["kinetic"] + self.stores["air"] + spent)
+        first = self._first
+        self._balance = {
+            "liquid": reading.liquid / first.liquid - 1.0,
+            "surfactant": reading.surfactant / first.surfactant - 1.0 if first.surfactant > 0.0 else 0.0,
+            "momentum": (reading.momentum - first.momentum - self._impulse).tolist(),
+        }
+
+    def cut(self, reading: Reading) -> None:
+        """Close the account of a budget whose regions are about to change, its last step included."""
+        if reading.fresh:
+            return
+        self.take(reading, self.time)
+        self._past = {name: self.flows[name] + reading.pending[name] for name in self.flows}
+        self._pushed = self._impulse
+        self._owed = sum(self.stores.values()) - _spent(reading.pending)
+
+    def remark(self, notices: Notices) -> None:
+        """Note a rest that is too large."""
+        if self.whole and self.share > UNEXPLAINED:
+            notices.note(
+                "energy budget",
+                self.share,
+                f"{100.0 * self.share:.3g} % of the energy that moves is unexplained,"
+                f" {100.0 * UNEXPLAINED:g} % is what a sound run keeps to: see melp-warp report",
+            )
+
+    def line(self) -> dict:
+        """What run.jsonl holds of a frame."""
+        if not self.stores:
+            return {}
+        flows = {kind: {name: self.flows[name] for name in _of(kind)} for kind in KINDS if kind != STORE}
+        return {
+            "time": self.time,
+            STORE: dict(self.stores),
+            **flows,
+            "rest": self.rest,
+            "moved": self.moved,
+            "share": self.share,
+            "whole": self.whole,
+            "balance": dict(self._balance),
+        }
+
+    def _stores(self, sums: Mapping[str, float], height: float) -> dict[str, float]:
+        return {name: sums[name] for name in _of(STORE)} | {"gravity": height}
