@@ -375,33 +375,28 @@ def book_shifts_chunks(
 @wp.kernel
 def settle_step(
     part: wp.array2d(dtype=wp.float64),
-    fresh: wp.array(dtype=wp.int32),
     # outputs
-    stored: wp.array(dtype=wp.float64),
-    opened: wp.array(dtype=wp.float64),
-    flow: wp.array(dtype=wp.float64),
+    book: wp.array2d(dtype=wp.float64),
 ):
     """Add what the last step did to the flows, and note what is stored now.
 
     Args:
         part: parts of all slots.
-        fresh: [1] 1 before the first step, which has none before it; it is then 0.
-        stored: [SLOTS] what is stored now, J.
-        opened: [SLOTS] the same at the start of the first step.
-        flow: [SLOTS] sums over the steps, J.
+        book: [4, SLOTS] what is stored now, what was at the start of the first step, sums of the flows over the steps
+            (J), and first in the last row the number of steps that were begun.
     """
-    new = fresh[0]
-    fresh[0] = 0
+    begun = book[3, 0]
+    book[3, 0] = begun + wp.float64(1.0)
     for s in range(part.shape[1]):
         total = wp.float64(0.0)
         for c in range(part.shape[0]):
             total += part[c, s]
         if s < FIRST_FLOW:
-            stored[s] = total
-            if new == 1:
-                opened[s] = total
-        elif new == 0:
-            flow[s] = flow[s] + total
+            book[0, s] = total
+            if begun == wp.float64(0.0):
+                book[1, s] = total
+        elif begun > wp.float64(0.0):
+            book[2, s] = book[2, s] + total
 
 
 @wp.kernel

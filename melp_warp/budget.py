@@ -16,7 +16,7 @@ import warp as wp
 
 from melp_warp.film import Film
 from melp_warp.kernels import budget as kb
-from melp_warp.launch import launch
+from melp_warp.launch import clear, copy, launch
 from melp_warp.notices import Notices
 from melp_warp.state import State
 
@@ -89,7 +89,6 @@ class Reading:
         stored: terms stored at the start of the last step, J.
         opened: at the start of the first.
         flows: what all steps but the last have done, J.
-        pending: what the last one has done.
         height: energy of the liquid's height, J.
         liquid: kg.
         surfactant: on one interface, mol.
@@ -101,7 +100,6 @@ class Reading:
     stored: dict[str, float]
     opened: dict[str, float]
     flows: dict[str, float]
-    pending: dict[str, float]
     height: float
     liquid: float
     surfactant: float
@@ -115,9 +113,7 @@ class Budget:
 
     Attributes:
         part: [parts, SLOTS] of the step in progress.
-        stored: [SLOTS] what was stored at the start of the last step, J.
-        opened: [SLOTS] at the start of the first one.
-        flow: [SLOTS] what all steps but the last have done, J.
+        book: [4, SLOTS] what the steps add up to, see `kernels.budget.settle_step`.
     """
 
     def __init__(self, film: Film, state: State, stepper: Stepper):
@@ -127,13 +123,12 @@ class Budget:
         parts = film.parts().shape[0]
         self.part = wp.zeros((parts, kb.SLOTS), dtype=wp.float64, device=film.device)
         self._lying = wp.zeros((parts, 8), dtype=wp.float64, device=film.device)
-        self.stored, self.opened, self.flow = (film.zeros(kb.SLOTS, wp.float64) for _ in range(3))
-        self.fresh = wp.full(1, 1, dtype=wp.int32, device=film.device)
+        self.book = wp.zeros((4, kb.SLOTS), dtype=wp.float64, device=film.device)
         self.before = film.zeros(film.n_e, wp.vec3)
         self._no_air = film.zeros(film.regions)
         self._whole = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
         self._bending = film.zeros(film.n_e) if f.moving and not f.foam else None
-        self._evolving = (self.part, self._lying, self.stored, self.opened, self.flow, self.fresh)
+        self._evolving = (self.part, self._lying, self.book)
         self._saved = [wp.clone(a) for a in self._evolving]
 
     def open_step(self) -> None:
@@ -149,7 +144,7 @@ class Budget:
             ],
             [self.part, self.before],
         )
-        film.launch_one(kb.settle_step, [self.part, self.fresh], [self.stored, self.opened, self.flow])
+        film.launch_one(kb.settle_step, [self.part], [self.book])
 
     def book_forces(self) -> None:
         """Book what the forces of a step have done, once E have the velocity of its end."""
@@ -208,43 +203,46 @@ class Budget:
 
     def read(self) -> Reading:
         """What has been summed up so far (reads back)."""
-        stored, opened, flow = (a.numpy() for a in (self.stored, self.opened, self.flow))
+        stored, opened, flow, begun = self.book.numpy()
         liquid, surfactant, *lying = self._lying.numpy().sum(axis=0).tolist()
         place = np.array(lying[:3]) + liquid * self.state.origin
-        step = self.part.numpy().sum(axis=0)
-        step[[kb.OFFSETS, kb.STARTED, kb.ENDED]] = 0.0  # counted, or on the way
         return Reading(
-            *(_sums(values) for values in (stored, opened, flow, step)),
+            *(_sums(values) for values in (stored, opened, flow)),
             height=-float(np.dot(self.film.surroundings.gravity, place)),
             liquid=liquid,
             surfactant=surfactant,
             momentum=np.array(lying[3:]),
-            impulse=flow[kb.IMPULSE : kb.IMPULSE + 3],
-            fresh=bool(self.fresh.numpy()[0]),
+            impulse=flow[kb.IMPULSE : kb.IMPULSE + 3].copy(),
+            fresh=begun[0] == 0.0,
         )
+
+    def pending(self) -> dict[str, float]:
+        """What the last step has done, which is not among the flows yet, J (reads back)."""
+        step = self.part.numpy().sum(axis=0)
+        step[[kb.OFFSETS, kb.STARTED, kb.ENDED]] = 0.0  # counted, or on the way
+        return _sums(step)
 
     def restart(self) -> None:
         """Forget all steps."""
         for array in self._evolving:
-            array.zero_()
-        self.fresh.fill_(1)
+            clear(array)
         self.save()
 
     def save(self) -> None:
         """Keep the sums as they are after a good frame."""
         for kept, own in zip(self._saved, self._evolving, strict=True):
-            wp.copy(kept, own)
+            copy(kept, own)
 
     def restore(self) -> None:
         """Put them back."""
         for kept, own in zip(self._saved, self._evolving, strict=True):
-            wp.copy(own, kept)
+            copy(own, kept)
 
     def take(self, other: Budget) -> None:
         """Go on with the sums of another one, of a film with as many regions."""
         for mine, theirs in ((self._evolving, other._evolving), (self._saved, other._saved)):
             for own, old in zip(mine, theirs, strict=True):
-                wp.copy(own, old)
+                copy(own, old)
 
 
 def _sums(slots: np.ndarray) -> dict[str, float]:
@@ -274,7 +272,8 @@ class Ledger:
         moved: largest of kinetic energy and what has been dissipated and lost so far, J: the rest is measured by it.
 
     Args:
-        whole: whether all stores are known. That of the air around a single film is not: its rest says nothing.
+        whole: whether all terms are known. The energy of the air around a single film and that of contact in a foam
+            are not yet: the rest says nothing there.
     """
 
     def __init__(self, whole: bool = True):
@@ -325,14 +324,14 @@ class Ledger:
             "momentum": (reading.momentum - first.momentum - self._impulse).tolist(),
         }
 
-    def cut(self, reading: Reading) -> None:
+    def cut(self, reading: Reading, pending: Mapping[str, float]) -> None:
         """Close the account of a budget whose regions are about to change, its last step included."""
         if reading.fresh:
             return
         self.take(reading, self.time)
-        self._past = {name: self.flows[name] + reading.pending[name] for name in self.flows}
+        self._past = {name: self.flows[name] + pending[name] for name in self.flows}
         self._pushed = self._impulse
-        self._owed = sum(self.stores.values()) - _spent(reading.pending)
+        self._owed = sum(self.stores.values()) - _spent(pending)
 
     def remark(self, notices: Notices) -> None:
         """Note a rest that is too large."""
@@ -351,6 +350,7 @@ class Ledger:
         flows = {kind: {name: self.flows[name] for name in _of(kind)} for kind in KINDS if kind != STORE}
         return {
             "time": self.time,
+            "start": dict(self._start),
             STORE: dict(self.stores),
             **flows,
             "rest": self.rest,

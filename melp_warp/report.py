@@ -23,7 +23,7 @@ def read_budget(folder: Path) -> list[dict]:
         frames = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     except ValueError as error:
         raise InputError(f"{path} must hold a line of JSON a frame: {error}") from None
-    lines = [frame["budget"] for frame in frames if frame.get("budget")]
+    lines = [frame["budget"] for frame in frames if "start" in frame.get("budget", {})]
     require(bool(lines), "DIR", str(folder), "a run of at least one frame that kept an energy budget")
     return lines
 
@@ -33,14 +33,14 @@ def print_budget(lines: Sequence[dict]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    first, last = lines[0], lines[-1]
+    last = lines[-1]
     moved = last["moved"] or 1.0
-    table = Table(title=f"Energy from {first['time']:.4g} to {last['time']:.4g} s; {last['moved']:.4g} J moved")
+    table = Table(title=f"Energy up to {last['time']:.4g} s; {last['moved']:.4g} J moved")
     for column in ("kind", "term", "J", "% of what moved", "what"):
         table.add_column(column, justify="right" if column in ("J", "% of what moved") else "left")
     for kind in KINDS:
         for term in (t for t in TERMS if t.kind == kind):
-            change = last[kind][term.name] - (first[kind][term.name] if kind == STORE else 0.0)
+            change = last[kind][term.name] - (last["start"][term.name] if kind == STORE else 0.0)
             if change:
                 mark = " makes energy" if kind == LOSS and change < -RAISED * moved else ""
                 table.add_row(kind, term.name, f"{change:.4g}", f"{100 * change / moved:.3f}", term.meaning + mark)
@@ -48,7 +48,7 @@ def print_budget(lines: Sequence[dict]) -> None:
     console = Console(width=130)
     console.print(table)
     if not last["whole"]:
-        console.print("The air around a single film is not among the stores: the rest holds its energy.")
+        console.print("Not all terms are known here (air of a single film, contact of foams): the rest holds them.")
     balance = last["balance"]
     console.print(
         f"liquid {balance['liquid']:+.2e}, surfactant {balance['surfactant']:+.2e} (relative); "
@@ -73,7 +73,7 @@ def draw_budget(lines: Sequence[dict], path: Path) -> Path:
     time = [line["time"] for line in lines]
     figure, axes = pyplot.subplots(figsize=(8, 5))
     for term in TERMS:
-        start = lines[0][term.kind][term.name] if term.kind == STORE else 0.0
+        start = lines[0]["start"][term.name] if term.kind == STORE else 0.0
         values = [(line[term.kind][term.name] - start) / moved for line in lines]
         if max(map(abs, values)) > RAISED:
             axes.plot(time, values, label=term.name, linestyle="-" if term.kind == STORE else "--")

@@ -185,14 +185,14 @@ class Simulation:
         self._remark()
         self._recentre()
         self._snapshot.save(self.state)
-        if self.ledger is not None:
+        if self.stepper.budget is not None:
             self.stepper.budget.save()
 
     def _open_ledger(self) -> None:
         """Start an energy budget, where the scene wants one."""
         features = self.film.features
         if features.budget:
-            self.ledger = Ledger(whole=features.foam or not features.air)
+            self.ledger = Ledger(whole=not (features.foam or features.air))
             self.stepper.budget.restart()
             self.ledger.open(self._weighed())
 
@@ -338,7 +338,7 @@ class Simulation:
             change(stored)
             self.stepper.remark(self.notices)
             if self.ledger is not None:
-                self.ledger.cut(self.stepper.budget.read())
+                self.ledger.cut(self.stepper.budget.read(), self.stepper.budget.pending())
             self._ids, self.spilled = stored.ids, stored.spilled
             self._adopt(*self._resumed(stored.arrays, tuple(stored.labels)))
             if self.ledger is not None:

@@ -122,6 +122,24 @@ def test_report_prints_a_table(tmp_path, capsys):
     assert main(["report", str(tmp_path / "b")]) == 2
 
 
+def test_the_lines_of_the_log_add_up():
+    """Stores less those at the start, and what the flows took, leave the rest that is written."""
+    simulation = wave(frames=3, surroundings=Surroundings(drag=1e-3))
+    line = simulation.diagnostics()["budget"]
+    left = sum(line["stores"].values()) - sum(line["start"].values()) - sum(line["work"].values())
+    left += sum(line["dissipation"].values()) + sum(line["losses"].values())
+    assert left == pytest.approx(line["rest"], abs=1e-9 * line["moved"])
+
+
+def test_drawing_without_matplotlib_is_refused_in_a_line(tmp_path, capsys, monkeypatch):
+    """The table is printed all the same; no traceback, exit code 2."""
+    assert main([*RUN, "--out", str(tmp_path / "a")]) == 0
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main(["report", str(tmp_path / "a")]) == 2
+    said = capsys.readouterr()
+    assert "kinetic" in said.out and said.err.count("\n") == 1 and "melp-warp[plot]" in said.err
+
+
 def test_a_large_rest_fails_a_strict_run(tmp_path, monkeypatch):
     """What is beyond the bound is noted, and --strict ends with 1."""
     monkeypatch.setattr("melp_warp.budget.UNEXPLAINED", 1e-9)
