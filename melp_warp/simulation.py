@@ -112,7 +112,6 @@ class Simulation:
         self.events = Events(scene.shape) if self.film.features.foam else None
         self.notices = Notices()
         self._look_at_shape()
-        self.ledger: Ledger | None = None
         self._open_ledger()
         self._remark()
 
@@ -191,8 +190,8 @@ class Simulation:
     def _open_ledger(self) -> None:
         """Start an energy budget, where the scene wants one."""
         features = self.film.features
-        if features.budget:
-            self.ledger = Ledger(whole=not (features.foam or features.air))
+        self.ledger = Ledger(whole=not (features.foam or features.air)) if features.budget else None
+        if self.stepper.budget is not None:
             self.stepper.budget.restart()
             self.ledger.open(self._weighed())
 
@@ -203,7 +202,7 @@ class Simulation:
 
     def _remark(self) -> None:
         """Note what must be known of the frame that is done (reads back)."""
-        if self.ledger is not None:
+        if self.stepper.budget is not None:
             self.ledger.take(self.stepper.budget.read(), self.time - self._last_dt)
             self.ledger.remark(self.notices)
         self.stepper.remark(self.notices)
@@ -276,8 +275,8 @@ class Simulation:
         self._adopt(film, stepper)
         self._snapshot = snapshot
         self._snapshot.restore(self.state)
-        if self.ledger is not None:
-            self.ledger = copy.copy(self.ledger)
+        self.ledger = copy.copy(self.ledger)
+        if self.stepper.budget is not None:
             self.stepper.budget.restore()
         if self.events:
             self.events.back(events)
@@ -320,7 +319,7 @@ class Simulation:
             return left
         self._step_limit = self.largest_step()
         count = math.ceil(left / self._step_limit - 1e-6)
-        if count == 1 and self.ledger is not None:
+        if count == 1 and self.stepper.budget is not None:
             self.stepper.budget.weigh()
         self.step(left / count)
         self._substeps += 1
@@ -337,11 +336,11 @@ class Simulation:
             stored = Stored(self.state.numpy(), dict(self._ids), list(self.film.labels), self.spilled)
             change(stored)
             self.stepper.remark(self.notices)
-            if self.ledger is not None:
+            if self.stepper.budget is not None:
                 self.ledger.cut(self.stepper.budget.read(), self.stepper.budget.pending())
             self._ids, self.spilled = stored.ids, stored.spilled
             self._adopt(*self._resumed(stored.arrays, tuple(stored.labels)))
-            if self.ledger is not None:
+            if self.stepper.budget is not None:
                 self.ledger.open(self._weighed())
 
     def _resumed(self, stored: dict[str, np.ndarray], labels: tuple[int, ...]) -> tuple[Film, Stepper]:

@@ -332,7 +332,7 @@ class NoFilm:
     """Takes the place of a stepper when the last film of a foam has popped: time passes and nothing else happens."""
 
     def __init__(self, film: Film, state: State):
-        self.film, self.state = film, state
+        self.film, self.state, self.budget = film, state, None
         self.wall = dict.fromkeys(STAGES, 0.0)
 
     def step(self, dt: float) -> None:
