@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import dataclasses
 import json
 import os
 import queue
@@ -22,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from melp_warp.errors import InputError
-from melp_warp.frame import ParticleFrame
+from melp_warp.frame import MeshFrame, ParticleFrame
 
 PATIENCE = 60.0
 """Seconds without a word after which the other process is stopped; a second more for each megabyte of the file."""
@@ -33,7 +34,10 @@ START = 300.0
 MEMORY = 8 << 30
 """Bytes of memory that it may take, besides ten times the size of the file it reads."""
 
-_ARRAYS = ("points", "velocities", "ids", "widths", "normals", "thickness", "region", "black_film")
+_KINDS = {"Particles": ParticleFrame, "Mesh": MeshFrame}
+_ARRAYS = {
+    kind: [field.name for field in dataclasses.fields(of) if field.name != "origin"] for kind, of in _KINDS.items()
+}
 
 
 class _Broken(Exception):
@@ -142,19 +146,36 @@ def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> 
     Raises:
         InputError: as `usd.read_frame`, or USD hangs or breaks down on the file.
     """
+    return _read(directory, frame, prim)
+
+
+def read_mesh(directory: str | os.PathLike, frame: int, region: int = 0) -> MeshFrame:
+    """`usd.read_mesh`, likewise.
+
+    Raises:
+        InputError: as `usd.read_mesh`, or USD hangs or breaks down on the file.
+    """
+    from melp_warp.usd import surface_prim
+
+    return _read(directory, frame, surface_prim(region))
+
+
+def _read(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame | MeshFrame:
     from melp_warp.usd import frame_path
 
     question = {"call": "frame", "directory": str(directory), "frame": frame, "prim": prim}
     answer, data = _ask_once(question, frame_path(directory, frame))
     arrays = {
         name: np.frombuffer(bytes_, dtype).reshape(shape).copy()
-        for name, dtype, shape, bytes_ in zip(_ARRAYS, answer["types"], answer["shapes"], data, strict=True)
+        for name, dtype, shape, bytes_ in zip(
+            _ARRAYS[answer["kind"]], answer["types"], answer["shapes"], data, strict=True
+        )
     }
-    return ParticleFrame(**arrays, origin=tuple(answer["origin"]))
+    return _KINDS[answer["kind"]](**arrays, origin=tuple(answer["origin"]))
 
 
 def read_prims(directory: str | os.PathLike) -> list[str]:
-    """Names of the point prims of any cache, as `usd.read_metadata` tells them.
+    """Names of the prims of any cache, as `usd.read_metadata` tells them.
 
     Raises:
         InputError: as `usd.read_metadata`, or USD hangs or breaks down on the file.
@@ -225,11 +246,12 @@ def _answer_frame(question: dict, say) -> None:
     path = usd.frame_path(question["directory"], question["frame"])
     if path.is_file():
         _limit_memory(path.stat().st_size)
-    frame = usd.read_frame(question["directory"], question["frame"], question["prim"])
+    frame = usd.read_prim(question["directory"], question["frame"], question["prim"])
     usd.check_sizes(path, frame)
-    arrays = [np.ascontiguousarray(getattr(frame, name)) for name in _ARRAYS]
+    kind = "Mesh" if isinstance(frame, MeshFrame) else "Particles"
+    arrays = [np.ascontiguousarray(getattr(frame, name)) for name in _ARRAYS[kind]]
     types, shapes = [str(a.dtype) for a in arrays], [a.shape for a in arrays]
-    answer = {"types": types, "shapes": shapes, "origin": frame.origin, "done": True}
+    answer = {"kind": kind, "types": types, "shapes": shapes, "origin": frame.origin, "done": True}
     say(answer, [a.tobytes() for a in arrays])
 
 

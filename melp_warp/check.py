@@ -13,7 +13,6 @@ from melp_warp.errors import InputError
 from melp_warp.files import digest
 from melp_warp.optics import display_color
 from melp_warp.usd import (
-    ATTRIBUTES,
     CLIP_TEMPLATE,
     FRAMES,
     LARGEST,
@@ -25,13 +24,16 @@ from melp_warp.usd import (
     SCHEMA_VERSION,
     THICKNESS_UNIT,
     Attribute,
+    attributes_of,
     frame_path,
+    is_mesh,
     list_frames,
     open_layer,
     origin_of,
-    point_prims,
+    prims_of,
     read_sample,
     refers_to,
+    rims_of,
 )
 
 LOG = "run.jsonl"
@@ -71,20 +73,25 @@ def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda
     at(ROOT)
     try:
         root = open_layer(directory / ROOT)
-        prims = point_prims(root)
+        prims = prims_of(root)
     except InputError as error:
         return [*problems, f"{ROOT}: {error}"]
     except Exception as error:  # a name that Python cannot hold
         return [*problems, f"{ROOT}: cannot be checked: {_words(error)}"]
     if len(prims) > MOST_PRIMS:
-        return [*problems, f"{ROOT}: has {len(prims)} point prims, more than {MOST_PRIMS}"]
+        return [*problems, f"{ROOT}: has {len(prims)} prims, more than {MOST_PRIMS}"]
     of_root = _guarded(ROOT, _check_root, root, prims)
+    try:
+        rims = len(rims_of(root))
+    except Exception as error:
+        of_root.append(f"{ROOT}: cannot be checked: {_words(error)}")
+        rims = 0
     elsewhere = _guarded(ROOT, _check_elsewhere, ROOT, root)
     at(MANIFEST)
     of_manifest, readable = _check_manifest(directory, prims)
     missing, fit = _check_range(root, on_disk)
     problems += of_root + elsewhere + of_manifest + missing
-    whole = fit and readable and _clips_are_ours(root) and not elsewhere
+    whole = fit and readable and _clips_are_ours(root, prims) and not elsewhere
     for frame in on_disk:
         at(_frame_name(frame))
         try:
@@ -95,7 +102,7 @@ def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda
             continue
         found = _guarded(_frame_name(frame), _check_elsewhere, _frame_name(frame), layer)
         whole = whole and not found
-        problems += found + _guarded(_frame_name(frame), _check_frame, layer, frame, root, prims)
+        problems += found + _guarded(_frame_name(frame), _check_frame, layer, frame, root, prims, rims)
     if on_disk and whole:
         at(ROOT)
         problems += _guarded(ROOT, _check_stages, directory, on_disk[0], root, prims)
@@ -239,7 +246,7 @@ def _check_declarations(name: str, layer, prims: list[str]) -> list[str]:
     """Declarations only: in the root and the manifest no attribute of a frame has a value."""
     problems = []
     for prim in prims:
-        for attribute in ATTRIBUTES:
+        for attribute in attributes_of(prim):
             problems += _check_declaration(name, layer, prim, attribute)
             if layer.GetNumTimeSamplesForPath(f"/World/{prim}.{attribute.name}"):
                 problems.append(f"{name}: /World/{prim}.{attribute.name}: has time samples, which hide the frames")
@@ -262,9 +269,11 @@ def _check_root(root, prims: list[str]) -> list[str]:
     if world is None:
         return problems
     problems += _expect(f"{ROOT}: /World: kind", world.kind, "component")
-    problems += _check_clips(root, world)
+    if world.GetInfo("clips"):
+        problems.append(f"{ROOT}: /World: has value clips, which belong on the prims")
     problems += _check_declarations(ROOT, root, prims)
     for prim in prims:
+        problems += _check_clips(root, prim) + _check_fixed(ROOT, root, prim)
         binding = root.GetRelationshipAtPath(f"/World/{prim}.material:binding")
         targets = list(binding.targetPathList.GetAppliedItems()) if binding else []
         if not targets or root.GetPrimAtPath(targets[0]) is None:
@@ -278,33 +287,50 @@ def _metadata(layer) -> dict:
     return data if isinstance(data, dict) else {}
 
 
-def _clips_are_ours(root) -> bool:
+def _check_fixed(name: str, layer, prim: str) -> list[str]:
+    """What meshes say once for all frames."""
+    problems = []
+    for attribute, wanted in (("subdivisionScheme", "none"), ("doubleSided", True)) if is_mesh(prim) else ():
+        spec = layer.GetAttributeAtPath(f"/World/{prim}.{attribute}")
+        problems += _expect(f"{name}: /World/{prim}.{attribute}", spec.default if spec else None, wanted)
+    return problems
+
+
+def _clips_are_ours(root, prims: list[str]) -> bool:
     """Whether a stage over the root opens frames of this cache alone, and as many as there are."""
+    clips = {}
+
+    def visit(path) -> None:
+        if path.IsPrimPath() and root.GetPrimAtPath(path).HasInfo("clips"):
+            clips[str(path)] = set(root.GetPrimAtPath(path).GetInfo("clips"))
+
     try:
-        world = root.GetPrimAtPath("/World")
-        return set(world.GetInfo("clips")) == {"default"} and not _check_clips(root, world)
+        root.Traverse("/", visit)
+        ours = clips == {f"/World/{prim}": {"default"} for prim in prims}
+        return ours and not any(_check_clips(root, prim) for prim in prims)
     except Exception:
         return False
 
 
-def _check_clips(root, world) -> list[str]:
-    clips = (world.GetInfo("clips") or {}).get("default")
+def _check_clips(root, prim: str) -> list[str]:
+    where = f"{ROOT}: /World/{prim}"
+    clips = (root.GetPrimAtPath(f"/World/{prim}").GetInfo("clips") or {}).get("default")
     if not isinstance(clips, dict):
-        return [f"{ROOT}: /World: has no value clips"]
+        return [f"{where}: has no value clips"]
     manifest = clips.get("manifestAssetPath")
     wanted = {
-        "primPath": "/World",
+        "primPath": f"/World/{prim}",
         "templateAssetPath": CLIP_TEMPLATE,
         "templateStartTime": root.startTimeCode,
         "templateEndTime": root.endTimeCode,
         "templateStride": 1.0,
         "templateActiveOffset": None,
     }
-    problems = _expect(f"{ROOT}: /World: clips manifestAssetPath", getattr(manifest, "path", None), f"./{MANIFEST}")
+    problems = _expect(f"{where}: clips manifestAssetPath", getattr(manifest, "path", None), f"./{MANIFEST}")
     for key, value in wanted.items():
-        problems += _expect(f"{ROOT}: /World: clips {key}", clips.get(key), value)
+        problems += _expect(f"{where}: clips {key}", clips.get(key), value)
     others = sorted(set(clips) - set(wanted) - {"manifestAssetPath"})
-    problems += [f"{ROOT}: /World: clips {key[:80]}: must not be there" for key in others[:MOST_NAMED]]
+    problems += [f"{where}: clips {key[:80]}: must not be there" for key in others[:MOST_NAMED]]
     return problems
 
 
@@ -340,7 +366,7 @@ def _check_range(root, on_disk: list[int]) -> tuple[list[str], bool]:
 # --- one frame -----------------------------------------------------------------------------------------------------
 
 
-def _check_frame(layer, frame: int, root, prims: list[str]) -> list[str]:
+def _check_frame(layer, frame: int, root, prims: list[str], rims: int) -> list[str]:
     name = _frame_name(frame)
     problems = _check_units(name, layer, root.framesPerSecond)
     problems += _expect(f"{name}: startTimeCode", layer.startTimeCode, float(frame))
@@ -350,14 +376,15 @@ def _check_frame(layer, frame: int, root, prims: list[str]) -> list[str]:
     for prim in prims:
         problems += _expect(f"{name}: /World/{prim}: origin", origin_of(layer, prim), origin_of(root, prim))
         arrays = {}
-        for attribute in ATTRIBUTES:
+        problems += _check_fixed(name, layer, prim)
+        for attribute in attributes_of(prim):
             found = _check_declaration(name, layer, prim, attribute)
             if not found:
                 found, array = _read_array(name, layer, frame, prim, attribute)
                 if not found:
                     arrays[attribute.name] = array
             problems += found
-        problems += _check_arrays(f"{name}: /World/{prim}", arrays, _metadata(root))
+        problems += _check_arrays(name, prim, arrays, _metadata(root), rims)
     return problems
 
 
@@ -382,21 +409,71 @@ def _read_array(name: str, layer, frame: int, prim: str, attribute: Attribute) -
     return ([f"{name}: {path}: has numbers above {LARGEST:g}"], None) if large else ([], array)
 
 
-def _check_arrays(where: str, arrays: dict[str, np.ndarray], metadata: dict) -> list[str]:
-    """What the arrays of one particle set must fulfil; each rule applies where the arrays it needs are sound."""
-    problems = []
+def _check_arrays(name: str, prim: str, arrays: dict[str, np.ndarray], metadata: dict, rims: int) -> list[str]:
+    """What the arrays of one prim must fulfil; each rule applies where the arrays it needs are sound."""
+    where, problems = f"{name}: /World/{prim}", []
     if "points" not in arrays:
         return problems
     count = len(arrays["points"])
-    for attribute in ATTRIBUTES[1:-1]:
+    for attribute in attributes_of(prim)[1:-1]:
         array = arrays.get(attribute.name)
-        if array is not None and len(array) != count:
+        if array is not None and len(array) != count and not attribute.name.startswith("faceVertex"):
             problems.append(f"{where}.{attribute.name}: {len(array)} values for {count} points")
             del arrays[attribute.name]
-    for name, rule in _RULES:
-        if name in arrays:
-            problems += [f"{where}.{name}: {problem}" for problem in rule(arrays, metadata)]
+    for rule_name, rule in _RULES:
+        if rule_name in arrays:
+            problems += [f"{where}.{rule_name}: {problem}" for problem in rule(arrays, metadata)]
+    if is_mesh(prim) and {"faceVertexCounts", "faceVertexIndices"} <= set(arrays):
+        problems += [f"{where}: {problem}" for problem in _check_surface(arrays, rims)]
     return problems
+
+
+def _check_surface(arrays: dict, rims: int) -> list[str]:
+    """Triangles that make one closed oriented surface, open at as many rims as the film has; empty for no region."""
+    counts, corners, n = arrays["faceVertexCounts"], arrays["faceVertexIndices"], len(arrays["points"])
+    if (counts != 3).any() or 3 * len(counts) != len(corners):
+        return [f"faceVertexCounts: {len(counts)} faces for {len(corners)} corners, must be triangles"]
+    if len(corners) and not (corners.min() >= 0 and corners.max() < n):
+        return [f"faceVertexIndices: from {corners.min()} to {corners.max()}, must be from 0 to {n - 1}"]
+    if n == 0:
+        return []
+    faces = corners.reshape(-1, 3).astype(np.int64)
+    problems = []
+    unused = n - len(np.unique(corners))
+    if unused:
+        problems.append(f"{unused} points are in no face")
+    start, end = faces.T.reshape(-1), np.roll(faces, -1, axis=1).T.reshape(-1)
+    sides, times = np.unique(start * n + end, return_counts=True)
+    if (times > 1).any():
+        at = int(sides[np.argmax(times > 1)])
+        problems.append(f"{(times > 1).sum()} edges have two faces on one side, first {at // n} to {at % n}")
+    bare = sides[~np.isin(sides % n * n + sides // n, sides, assume_unique=True)]
+    problems += _expect("number of pieces", len(np.unique(_pieces(start, end, n))) - unused, 1)
+    loops = np.unique(_pieces(bare // n, bare % n, n)[bare // n]) if len(bare) else bare
+    if len(loops) != rims:
+        problems.append(f"open along {len(bare)} edges around {len(loops)} holes, the film has {rims} rims")
+    edges = (len(sides) + len(bare)) // 2
+    problems += _expect("Euler number", n - unused - edges + len(faces), 2 - len(loops))
+    if "normals" in arrays:
+        x = arrays["points"].astype(np.float64)
+        face = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])
+        flipped = np.einsum("ij,ij->i", face, arrays["normals"][faces].sum(axis=1)) < 0.0
+        if flipped.any():
+            problems.append(f"{flipped.sum()} faces look inwards, first {np.argmax(flipped)}")
+    return problems
+
+
+def _pieces(start: np.ndarray, end: np.ndarray, n: int) -> np.ndarray:
+    """[n] the lowest vertex that each is connected with by edges."""
+    label = np.arange(n)
+    while True:
+        lower = label.copy()
+        np.minimum.at(lower, start, label[end])
+        np.minimum.at(lower, end, label[start])
+        lower = lower[lower]
+        if np.array_equal(lower, label):
+            return label
+        label = lower
 
 
 def _check_ids(arrays: dict, metadata: dict) -> list[str]:
@@ -470,7 +547,8 @@ def _check_color(arrays: dict, metadata: dict) -> list[str]:
 
 
 def _check_extent(arrays: dict, metadata: dict) -> list[str]:
-    extent, points, widths = arrays["extent"], arrays["points"], arrays.get("widths")
+    extent, points = arrays["extent"], arrays["points"]
+    widths = np.zeros(len(points)) if "faceVertexCounts" in arrays else arrays.get("widths")
     if extent.shape != (2, 3):
         return [f"has {len(extent)} vectors, must have 2"]
     if widths is None:
@@ -529,7 +607,7 @@ def _check_through_clips(stage, root, prims: list[str]) -> list[str]:
     problems = []
     for prim in prims:
         uneven, elsewhere = [], []
-        for name in (attribute.name for attribute in ATTRIBUTES):
+        for name in (attribute.name for attribute in attributes_of(prim)):
             found = stage.GetAttributeAtPath(f"/World/{prim}.{name}")
             if not found or found.GetTimeSamples() != wanted:
                 uneven.append(name)

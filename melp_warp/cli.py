@@ -1,4 +1,4 @@
-"""The command line: `melp-warp run | scenes | preview | check | measure | report | tradeoff`."""
+"""The command line: `melp-warp run | scenes | preview | mesh | check | measure | report | tradeoff`."""
 
 from __future__ import annotations
 
@@ -71,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_scenes(commands)
     _add_preview(commands)
+    _add_mesh(commands)
     _add_check(commands)
     _add_measure(commands)
     _add_report(commands)
@@ -101,6 +102,11 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     run.add_argument(
         "--export", choices=("l", "e", "both"), help="particles to write: L, E or both (default: L where there are any)"
     )
+    run.add_argument("--mesh", action="store_true", help="write a surface mesh of each region")
+    run.add_argument(
+        "--triangles", metavar="N", type=int, help="triangles of all meshes of a frame, about; asks for --mesh"
+    )
+    run.add_argument("--start", metavar="N", type=int, default=0, help="number of the first frame (default: 0)")
     run.add_argument("--preview", action="store_true", help="draw preview.png and contact.png at the end")
     run.add_argument("--quiet", action="store_true", help="print nothing but errors")
     run.add_argument("--no-budget", action="store_true", help="keep no energy budget")
@@ -127,6 +133,17 @@ def _add_preview(commands: argparse._SubParsersAction) -> None:
     preview.add_argument("--size", metavar="N", type=int, default=800, help="width and height, pixels (default: 800)")
     preview.add_argument("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
     preview.set_defaults(command=_preview)
+
+
+def _add_mesh(commands: argparse._SubParsersAction) -> None:
+    mesh = commands.add_parser(
+        "mesh",
+        help="put surface meshes into a written cache",
+        description="Put a surface mesh of each region into every frame of a cache, in place of those that are there.",
+    )
+    mesh.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote, with E")
+    mesh.add_argument("--triangles", metavar="N", type=int, help="triangles of a frame, about (default: as many as L)")
+    mesh.set_defaults(command=_mesh)
 
 
 def _add_check(commands: argparse._SubParsersAction) -> None:
@@ -195,6 +212,9 @@ def _run(options: argparse.Namespace) -> int:
         export=options.export,
         preview=options.preview,
         quiet=options.quiet,
+        mesh=options.mesh or options.triangles is not None,
+        triangles=options.triangles,
+        start=options.start,
         strict=options.strict,
     )
     if options.estimate:
@@ -257,6 +277,18 @@ def _preview(options: argparse.Namespace) -> int:
 
     path = runner.draw_frame(options.folder, options.frame, options.out, options.size, options.device)
     print(path)
+    return OK
+
+
+def _mesh(options: argparse.Namespace) -> int:
+    from melp_warp import runner
+
+    problems = runner.mesh_cache(options.folder, options.triangles)
+    for problem in problems:
+        print(problem)
+    if problems:
+        return FAILED
+    print(f"{options.folder}: every frame has its meshes, all closed")
     return OK
 
 

@@ -1,4 +1,4 @@
-"""One frame of one particle set as plain NumPy arrays: what is written to USD and what is drawn."""
+"""One frame of a particle set or of a mesh as plain NumPy arrays: what is written to USD and what is drawn."""
 
 from __future__ import annotations
 
@@ -43,3 +43,32 @@ class ParticleFrame:
         integers = np.zeros(0, np.int32)
         ids = np.zeros(0, np.int64)
         return cls(vectors, vectors, ids, numbers, vectors, numbers, integers, integers, origin)
+
+
+@dataclass
+class MeshFrame:
+    """The surface of one region at one instant, as triangles. SI units, except thickness (nanometres).
+
+    Attributes:
+        points: [n, 3] float32, m, from `origin`; the first are the region's E in the order of their ids.
+        velocities: [n, 3] float32, m/s, of the points.
+        normals: [n, 3] float32, outward unit normals.
+        thickness: [n] float32, nm.
+        black_film: [n] int32, 1 where the film is Newton black film.
+        faces: [f, 3] int32, corners, counterclockwise seen from outside.
+        origin: where the points are measured from, m; the same in all frames of a run.
+    """
+
+    points: np.ndarray
+    velocities: np.ndarray
+    normals: np.ndarray
+    thickness: np.ndarray
+    black_film: np.ndarray
+    faces: np.ndarray
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MeshFrame:
+        """The mesh of a region that is not there."""
+        none = np.zeros((0, 3), np.float32)
+        return cls(none, none, none, none[:, 0], np.zeros(0, np.int32), np.zeros((0, 3), np.int32), origin)

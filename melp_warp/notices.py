@@ -35,6 +35,7 @@ class Notices:
 
     Attributes:
         of_frame: name -> worst value in the last frame.
+        first: number that a run gives to its frame 0.
     """
 
     def __init__(self):
@@ -43,6 +44,7 @@ class Notices:
         self._spans: dict[str, _Span] = {}
         self._fresh: list[str] = []
         self._frames = 0
+        self.first = 0
 
     def __bool__(self) -> bool:
         return bool(self._spans)
@@ -59,14 +61,22 @@ class Notices:
     def end(self, frame: int) -> None:
         """Take what was noted for that of a good frame."""
         self._frames += 1
-        for name, value in self.of_frame.items():
-            span = self._spans.get(name)
-            if span is None:
-                span = self._spans[name] = _Span(0, frame, frame, value)
-                self._fresh.append(f"{name}, frame {frame}: {self._texts[name]}")
-            span.frames += 1
-            if value > span.value:
-                span.worst, span.value = frame, value
+        for name in self.of_frame:
+            self._count(name, self.first + frame)
+
+    def _count(self, name: str, frame: int) -> None:
+        value, span = self.of_frame[name], self._spans.get(name)
+        if span is None:
+            span = self._spans[name] = _Span(0, frame, frame, value)
+            self._fresh.append(f"{name}, frame {frame}: {self._texts[name]}")
+        span.frames += 1
+        if value > span.value:
+            span.worst, span.value = frame, value
+
+    def add(self, frame: int, name: str, value: float, text: str) -> None:
+        """Note a doubt in a good frame once it is over, as when it is written."""
+        self.note(name, value, text)
+        self._count(name, self.first + frame)
 
     def fresh(self) -> list[str]:
         """Lines to print: the notices that came up for the first time since this was last asked."""

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from melp_warp.errors import InputError, SimulationError, require
 from melp_warp.interrupt import finish_first, let_through
 from melp_warp.parameters import Value
@@ -50,6 +52,9 @@ class Plan:
         preview: whether to draw preview.png and contact.png at the end.
         quiet: whether to print nothing but errors.
         strict: whether a run that has notices (`melp_warp.notices`) counts as failed.
+        mesh: whether to write a surface mesh of each region.
+        triangles: how many a frame's meshes are to have in all, about; None for as many as there are L.
+        start: number of the first frame.
     """
 
     scene: Scene
@@ -61,13 +66,16 @@ class Plan:
     preview: bool = False
     quiet: bool = False
     strict: bool = False
+    mesh: bool = False
+    triangles: int | None = None
+    start: int = 0
 
 
 def run(plan: Plan) -> int:
     """Carry out a run.
 
-    Frame 0 is the initial state. /World/Film holds L, or E where the scene has no L or only E are exported; E go to
-    /World/FilmE besides where they are asked for.
+    The first frame is the initial state. /World/Film holds L, or E where the scene has no L or only E are exported.
+    What else is asked for goes to /World/FilmE and, meshes, to /World/FilmSurface/Region_k.
 
     Returns:
         0; 1 where the plan is strict and there are notices; 130 after Ctrl-C. The cache holds each frame that was done.
@@ -77,15 +85,18 @@ def run(plan: Plan) -> int:
         SimulationError: the run cannot go on; the cache holds the frames before, checkpoint.npz the last good state.
     """
     require(plan.export != "l" or plan.scene.l_per_e > 0, "--export", plan.export, "e or both: the scene has no L")
+    _check_numbers(plan)
     _check_folder(plan.out)
     _start_warp(plan.device)
     simulation = None
     try:
         with _Progress(plan) as progress:
             simulation = _simulation(plan)
+            simulation.notices.first = plan.start
             with finish_first():
                 output = _Output(plan, simulation)
                 _simulate(simulation, plan.scene.frames, output, progress)
+        _write_stage(plan.out)
         images = _draw_run(plan) if plan.preview else []
     except KeyboardInterrupt:
         print(f"melp-warp: interrupted: {_kept(plan.out)}{_noticed(simulation)}", file=sys.stderr)
@@ -93,6 +104,18 @@ def run(plan: Plan) -> int:
     if not plan.quiet:
         _say_finished(plan.out, images, simulation.notices, output.empty_from)
     return int(plan.strict and bool(simulation.notices))
+
+
+def _check_numbers(plan: Plan) -> None:
+    from melp_warp.usd import MAX_FRAME
+
+    most = MAX_FRAME - plan.scene.frames
+    require(0 <= plan.start <= most, "--start", plan.start, f"a whole number from 0 to {most}")
+    _check_triangles(plan.triangles)
+
+
+def _check_triangles(triangles: int | None) -> None:
+    require(triangles is None or triangles > 0, "--triangles", triangles, "a whole number above 0")
 
 
 def estimate(plan: Plan) -> Estimate:
@@ -232,9 +255,9 @@ class _Output:
     """
 
     def __init__(self, plan: Plan, simulation: Simulation):
-        from melp_warp.usd import CacheWriter
+        from melp_warp.usd import CacheWriter, surface_prim
 
-        self._folder = plan.out
+        self._folder, self._plan = plan.out, plan
         self.empty_from: int | None = None
         shown = "l" if simulation.has_l and plan.export != "e" else "e"
         self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
@@ -242,25 +265,48 @@ class _Output:
             "scene": plan.name,
             "seed": plan.scene.seed,
             "device": plan.device,
+            "particles": self._sets,
             "parameters": {key: "auto" if value is None else value for key, value in plan.parameters.items()},
         }
-        frame = simulation.particles(shown)
-        self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, tuple(self._sets), origin=frame.origin)
+        origin = simulation.particles(shown).origin
+        self._rims = [rim - np.array(origin) for rim in plan.scene.shape.edges()]
+        prims = [*self._sets, *(surface_prim(k) for k in _all_regions(plan.scene) if plan.mesh)]
+        self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, prims, origin=origin, rims=self._rims)
 
     def write(self, simulation: Simulation) -> dict:
         """Write the present frame and return its diagnostics."""
         diagnostics = simulation.diagnostics()
-        sets: dict[str, ParticleFrame] = {which: simulation.particles(which) for which in set(self._sets.values())}
+        wanted = set(self._sets.values())
+        if self._plan.mesh:
+            wanted |= {"e", "l"} if simulation.has_l else {"e"}
+        sets: dict[str, ParticleFrame] = {which: simulation.particles(which) for which in sorted(wanted)}
+        number = self._plan.start + simulation.frame
+        prims = {prim: sets[which] for prim, which in self._sets.items()}
+        if self._plan.mesh:
+            prims |= self._meshes(simulation, sets, diagnostics)
         try:
-            sums = self._cache.write(simulation.frame, {prim: sets[which] for prim, which in self._sets.items()})
+            sums = self._cache.write(number, prims)
         except SimulationError as error:
             raise SimulationError(f"{error}; {_kept(self._folder)}") from error
-        self._log({"frame": simulation.frame, **diagnostics, "sha256": sums})
+        self._log({**diagnostics, "frame": number, "sha256": sums})
         if any(len(one.points) for one in sets.values()):
             self.empty_from = None
         elif self.empty_from is None:
-            self.empty_from = simulation.frame
+            self.empty_from = number
         return diagnostics
+
+    def _meshes(self, simulation: Simulation, sets: Mapping[str, ParticleFrame], diagnostics: dict) -> dict:
+        """The meshes of the present frame by prim; what could not be closed goes into the log and the notices."""
+        from melp_warp.frame import MeshFrame
+        from melp_warp.mesh import make_meshes
+        from melp_warp.usd import surface_prim
+
+        made, problems = make_meshes(sets["e"], sets.get("l"), self._rims, self._plan.triangles)
+        diagnostics["mesh_problems"] = problems
+        if problems:
+            simulation.notices.add(simulation.frame, "mesh not closed", len(problems), "; ".join(problems))
+        regions = _all_regions(self._plan.scene)
+        return {surface_prim(k): made.get(k) or MeshFrame.empty(sets["e"].origin) for k in regions}
 
     def _log(self, line: Mapping) -> None:
         path = self._folder / LOG
@@ -278,6 +324,11 @@ class _Output:
         except OSError as error:
             return f"{kept}, {CHECKPOINT} could not be written: {error.strerror}"
         return f"{kept} and the last good state in {CHECKPOINT}"
+
+
+def _all_regions(scene: Scene) -> range:
+    """Regions that a scene has at any time, by the numbers of its bubbles."""
+    return range(len(getattr(scene.shape, "bubbles", (None,))))
 
 
 def _plain(value: object) -> object:
@@ -351,6 +402,75 @@ def draw_frame(folder: Path, frame: int | None, out: Path | None, size: int, dev
     return out
 
 
+def mesh_cache(folder: Path, triangles: int | None = None) -> list[str]:
+    """Put surface meshes into the frames of a cache, in place of those that are there.
+
+    Args:
+        folder: folder of the cache.
+        triangles: how many a frame's meshes are to have in all, about; None for as many as there are L.
+
+    Returns:
+        What could not be closed, a line each with frame and region.
+
+    Raises:
+        InputError: there is no such cache, or it has no E.
+    """
+    _check_triangles(triangles)
+    _start_warp("cpu")
+    from melp_warp.apart import read_frame, read_prims
+    from melp_warp.mesh import make_meshes
+    from melp_warp.usd import add_meshes, list_frames, read_metadata, read_rims
+
+    read_prims(folder)  # USD outlives the root
+    metadata, frames = read_metadata(folder), list_frames(folder)
+    require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
+    film = metadata.get("particles", {}).get("Film", "l" if metadata.get("parameters", {}).get("l_per_e", 0) else "e")
+    require(
+        film == "e" or "FilmE" in metadata["prims"],
+        "DIR",
+        str(folder),
+        "a cache with E, which meshes are made of: run again with --mesh, or with --export both",
+    )
+    source = "FilmE" if "FilmE" in metadata["prims"] else "Film"
+    regions = sorted({int(k) for frame in frames for k in np.unique(read_frame(folder, frame, source).region)})
+    rims, problems = read_rims(folder), []
+
+    def make(frame: int):
+        lagrangian = read_frame(folder, frame) if film == "l" else None
+        meshes, found = make_meshes(read_frame(folder, frame, source), lagrangian, rims, triangles)
+        problems.extend(f"frame {frame}: {problem}" for problem in found)
+        return meshes
+
+    _renew_sums(folder, add_meshes(folder, make, regions))
+    return problems
+
+
+def _renew_sums(folder: Path, sums: Mapping[str, str]) -> None:
+    """Put the checksums of files that were written anew into run.jsonl, where there is one that has some."""
+    from melp_warp.files import replacing
+
+    path = folder / LOG
+    if not path.is_file():
+        return
+    with replacing(path) as partial, path.open("rb") as before, partial.open("wb") as after:
+        for line in before:
+            with contextlib.suppress(
+                ValueError, TypeError, AttributeError, KeyError
+            ):  # half a line that a killed run left
+                entry = json.loads(line)
+                entry["sha256"] = {name: sums.get(name, old) for name, old in entry["sha256"].items()}
+                line = json.dumps(entry).encode() + b"\n"
+            after.write(line)
+
+
+def _write_stage(folder: Path) -> None:
+    """A layer with a camera and lights for the run."""
+    from melp_warp.usd import list_frames, write_stage
+
+    camera = _camera(folder, list_frames(folder))
+    write_stage(folder, camera.eye, camera.target, camera.up, camera.fov)
+
+
 def _draw_run(plan: Plan) -> list[Path]:
     """Draw the last frame, and a sheet of frames spread over the run."""
     from melp_warp import preview
@@ -365,7 +485,9 @@ def _draw_run(plan: Plan) -> list[Path]:
         preview.render(read_frame(plan.out, frame), CONTACT_SIZE, CONTACT_SIZE, camera, plan.device) for frame in picked
     ]
     sheet = plan.out / CONTACT
-    preview.save_png(preview.contact_sheet(images, [f"{frame / plan.scene.fps:.3g} s" for frame in picked]), sheet)
+    preview.save_png(
+        preview.contact_sheet(images, [f"{(frame - frames[0]) / plan.scene.fps:.3g} s" for frame in picked]), sheet
+    )
     return [last, sheet]
 
 

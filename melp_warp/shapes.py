@@ -16,6 +16,9 @@ from melp_warp.errors import require
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
+EDGE_POINTS = 1440
+"""Points along an edge: a circle is off by 2e-6 of its radius."""
+
 
 @dataclass
 class Samples:
@@ -76,6 +79,10 @@ class Shape(ABC):
         """Boundary particles at `spacing` in a strip of `width` beyond the rim; None for a closed film."""
         return None
 
+    def edges(self) -> list[np.ndarray]:
+        """Dense points [k, 3] along each closed curve in which the film ends, in order, m; none for a closed film."""
+        return []
+
     def extent(self) -> np.ndarray:
         """Size of the film along its own axes, m: the smallest must have room for the kernel support."""
         points = self.sample(2000).points
@@ -106,6 +113,11 @@ def fibonacci_sphere(count: int, offset: float = 0.0) -> np.ndarray:
     s = np.sqrt(1.0 - y * y)
     phi = GOLDEN_ANGLE * i + 2.0 * np.pi * offset
     return np.stack([s * np.cos(phi), y, s * np.sin(phi)], axis=1)
+
+
+def _around() -> np.ndarray:
+    """Angles of `EDGE_POINTS` points of a circle."""
+    return np.linspace(0.0, 2.0 * np.pi, EDGE_POINTS, endpoint=False)
 
 
 @dataclass(frozen=True)
@@ -253,6 +265,9 @@ class Jittered(Shape):
     def rim(self, spacing: float, width: float):
         return self.shape.rim(spacing, width)
 
+    def edges(self) -> list[np.ndarray]:
+        return self.shape.edges()
+
     def extent(self) -> np.ndarray:
         return self.shape.extent()
 
@@ -328,6 +343,10 @@ class Revolution(Shape):
     def rim(self, spacing: float, width: float) -> Rim:
         strips = [self._strip(end, spacing, width) for end in (0, 1) if self.rims[end]]
         return Rim(*(np.concatenate(parts) for parts in zip(*strips, strict=True)))
+
+    def edges(self) -> list[np.ndarray]:
+        ends = [self.span[end] for end in (0, 1) if self.rims[end]]
+        return [self._turn(np.full(EDGE_POINTS, t), _around())[0] for t in ends]
 
     def _strip(self, end: int, spacing: float, width: float) -> tuple[np.ndarray, ...]:
         """Boundary particles beyond one end, as the fields of `Rim`."""
@@ -439,6 +458,10 @@ class Disc(Shape):
         beyond = outward * (2.0 * self.radius - rho)
         return Rim(beyond, normals, outward * self.radius, outward, mirror, -outward / self.radius)
 
+    def edges(self) -> list[np.ndarray]:
+        phi = _around()
+        return [self.radius * np.stack([np.cos(phi), np.zeros_like(phi), np.sin(phi)], axis=1)]
+
     def extent(self) -> np.ndarray:
         return np.full(2, 2.0 * self.radius)
 
@@ -501,6 +524,14 @@ class Rectangle(Shape):
         normals = np.tile(self.axes[2], (len(p), 1))
         straight = np.zeros_like(normals)
         return Rim(p @ plane, normals, anchors @ plane, out @ plane, (2.0 * anchors - p) @ plane, straight)
+
+    def edges(self) -> list[np.ndarray]:
+        side = np.linspace(-0.5, 0.5, EDGE_POINTS // 4, endpoint=False)
+        turn = np.array([[0.0, 1.0], [-1.0, 0.0]])
+        square = [np.stack([side, np.full_like(side, -0.5)], axis=1)]
+        for _ in range(3):
+            square.append(square[-1] @ turn)
+        return [np.concatenate(square) * [self.width, self.height] @ self.axes[:2]]
 
     def extent(self) -> np.ndarray:
         return np.array([self.width, self.height])

@@ -1,12 +1,15 @@
-"""The USD point cache of a run: one binary file a frame, bound by a small root layer with value clips.
+"""The USD cache of a run: one binary file a frame, bound by a small root layer with value clips.
 
     film.usda                 root: open this one
     film.manifest.usda        what the clips hold
+    film_stage.usda           the root with a camera and lights, see `write_stage`
     film_look.usda            optional MaterialX look over the root, see `write_look`
     frames/film.000000.usdc   one file a frame
 
-File number, time code and frame index are the same number. Frame 0 is the initial state; the time in seconds is
-the time code divided by the frame rate. The cache is complete and valid after every `CacheWriter.write`.
+A frame holds point prims and, where they are asked for, a mesh of each region. Each prim has its clips on itself, so
+that it can be referenced alone. File number, time code and frame are the same number. The first frame is the initial
+state; seconds are the time codes since then divided by the frame rate. The cache is complete and valid after every
+`CacheWriter.write`.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,13 +26,14 @@ import numpy as np
 import melp_warp
 from melp_warp.errors import InputError, SimulationError, require
 from melp_warp.files import digest, replacing
-from melp_warp.frame import ParticleFrame
+from melp_warp.frame import MeshFrame, ParticleFrame
 from melp_warp.optics import DISPLAY_GAIN, WATER_INDEX, display_color
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 ROOT = "film.usda"
 MANIFEST = "film.manifest.usda"
 LOOK = "film_look.usda"
+STAGE = "film_stage.usda"
 FRAMES = "frames"
 CLIP_TEMPLATE = f"./{FRAMES}/film.######.usdc"
 METADATA_KEY = "melpWarp"
@@ -47,6 +51,9 @@ DEEPEST = 64
 
 _COOKIES = {".usda": b"#usda 1.0", ".usdc": b"PXR-USDC"}
 
+WIRE_WIDTH = 0.01
+"""Diameter of the wire that holds a film, over the film's size."""
+
 _FRAME_NAME = re.compile(r"film\.(\d{6})\.usdc")
 _MATERIAL = "/World/Looks/SoapFilm"
 _TRANSLATE = "xformOp:translate"
@@ -54,11 +61,11 @@ _OTHER_RUN = (ROOT, FRAMES, "run.jsonl")
 
 
 class Attribute(NamedTuple):
-    """How one attribute of a point prim is stored.
+    """How one attribute of a prim is stored.
 
     Attributes:
         name: USD attribute name.
-        field: field of `ParticleFrame`; None where it is derived.
+        field: field of `ParticleFrame` or `MeshFrame`; None where it is derived.
         type_name: USD value type.
         array: name of the `pxr.Vt` array class.
         dtype: NumPy type.
@@ -89,6 +96,45 @@ ATTRIBUTES = (
 )
 """Every attribute of a point prim. Each frame holds all of them, the root and the manifest declare them."""
 
+_SHARED = {attribute.name: attribute for attribute in ATTRIBUTES}
+
+MESH_ATTRIBUTES = (
+    *(_SHARED[name] for name in ("points", "velocities", "normals")),
+    Attribute("faceVertexCounts", None, "int[]", "IntArray", np.int32, 1, None),
+    Attribute("faceVertexIndices", "faces", "int[]", "IntArray", np.int32, 1, None),
+    *(_SHARED[f"primvars:{name}"] for name in ("thickness", "blackFilm", "displayColor")),
+    _SHARED["extent"],
+)
+"""Every attribute of a mesh prim, likewise."""
+
+SURFACE = "FilmSurface"
+RIM = "Rim"
+_NAMES_TAKEN = ("Looks", RIM, SURFACE)
+
+
+def surface_prim(region: int) -> str:
+    """Name under /World of the mesh of a region."""
+    return f"{SURFACE}/Region_{region}"
+
+
+def is_mesh(prim: str) -> bool:
+    """Whether a prim of a cache, named from /World, is a mesh."""
+    return prim.startswith(f"{SURFACE}/")
+
+
+def attributes_of(prim: str) -> tuple[Attribute, ...]:
+    """The attributes of a prim of a cache."""
+    return MESH_ATTRIBUTES if is_mesh(prim) else ATTRIBUTES
+
+
+def prims_of(layer) -> list[str]:
+    """The particle sets and meshes of a layer of a cache, named from /World."""
+    world = layer.GetPrimAtPath("/World")
+    surface = layer.GetPrimAtPath(f"/World/{SURFACE}")
+    points = [child.name for child in world.nameChildren if child.typeName == "Points"] if world else []
+    meshes = [child.name for child in surface.nameChildren if child.typeName == "Mesh"] if surface else []
+    return [*points, *(f"{SURFACE}/{name}" for name in meshes)]
+
 
 def frame_path(directory: str | os.PathLike, frame: int) -> Path:
     """Return the path of the file of one frame."""
@@ -106,31 +152,41 @@ def list_frames(directory: str | os.PathLike) -> list[int]:
 # --- checks before anything is written -----------------------------------------------------------------------------
 
 
-def _check_arrays(label: str, frame: ParticleFrame) -> None:
-    """Refuse what USD would take silently: wrong shapes and types, NaN, ids out of order, negative thickness."""
+def _check_arrays(label: str, frame: ParticleFrame | MeshFrame, attributes: Sequence[Attribute]) -> None:
+    """Refuse what USD would take silently: wrong shapes and types, NaN, negative thickness, no such corner."""
     count = len(frame.points)
-    stored = [attribute for attribute in ATTRIBUTES if attribute.field]
+    stored = [attribute for attribute in attributes if attribute.field]
     for attribute in stored:
         array = getattr(frame, attribute.field)
-        shape = (count, 3) if attribute.columns == 3 else (count,)
+        faces = attribute.field == "faces"
+        rows = len(array) if faces and isinstance(array, np.ndarray) else count
+        shape = (rows, 3) if faces or attribute.columns == 3 else (rows,)
         dtype = str(np.dtype(attribute.dtype))
         got = (array.shape, str(array.dtype)) if isinstance(array, np.ndarray) else type(array).__name__
         require(got == (shape, dtype), f"{label}.{attribute.field}", got, f"an array {list(shape)} of {dtype}")
     for attribute in stored:
-        array = getattr(frame, attribute.field).reshape(count, attribute.columns)
-        finite = np.isfinite(array).all(axis=1)
+        array = getattr(frame, attribute.field)
+        finite = np.isfinite(array.reshape(len(array), -1 if len(array) else 1)).all(axis=1)
         if not finite.all():
-            at = frame.ids[np.argmin(finite)]
-            raise SimulationError(f"{label}.{attribute.field} is not finite at particle id {at}")
+            at = _name_of(frame, int(np.argmin(finite)))
+            raise SimulationError(f"{label}.{attribute.field} is not finite at {at}")
+    for field in ("widths", "thickness"):
+        array = getattr(frame, field, np.zeros(0))
+        if len(array) and array.min() < 0.0:
+            at = int(np.argmin(array))
+            raise SimulationError(f"{label}.{field} is negative at {_name_of(frame, at)}: {array[at]}")
+    if isinstance(frame, MeshFrame):
+        low, high = frame.faces.min(initial=0), frame.faces.max(initial=-1)
+        require(low >= 0 and high < count, f"{label}.faces", (int(low), int(high)), f"corners from 0 to {count - 1}")
+        return
     rising = frame.ids[1:] > frame.ids[:-1]
     if not rising.all():
         at = int(np.argmin(rising))
         require(False, f"{label}.ids", frame.ids[at : at + 2].tolist(), "ascending, each once")
-    for field in ("widths", "thickness"):
-        array = getattr(frame, field)
-        if count and array.min() < 0.0:
-            at = int(np.argmin(array))
-            raise SimulationError(f"{label}.{field} is negative at particle id {frame.ids[at]}: {array[at]}")
+
+
+def _name_of(frame: ParticleFrame | MeshFrame, at: int) -> str:
+    return f"particle id {frame.ids[at]}" if isinstance(frame, ParticleFrame) else f"vertex {at}"
 
 
 def _checked_metadata(metadata: Mapping, name: str = "metadata") -> dict:
@@ -258,22 +314,39 @@ def _new_layer(extension: str, fps: float):
 Origin = tuple[float, float, float]
 
 
-def _declare(layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0)) -> None:
-    """Add /World and the point prims with every attribute, without values; moved to `origin` where it is elsewhere."""
-    from pxr import Gf, Sdf, Vt
+def _declare(layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0), fixed: bool = True) -> None:
+    """Add /World and the prims with every attribute, without values; moved to `origin` where it is elsewhere.
 
-    world = Sdf.PrimSpec(layer, "World", Sdf.SpecifierDef, "Xform")
+    With `fixed`, meshes say besides what holds for all frames: that they are as they are, and seen from both sides.
+    """
+    from pxr import Sdf
+
+    world = layer.GetPrimAtPath("/World") or Sdf.PrimSpec(layer, "World", Sdf.SpecifierDef, "Xform")
     world.kind = "component"
     for prim in prims:
-        points = Sdf.PrimSpec(world, prim, Sdf.SpecifierDef, "Points")
-        for attribute in ATTRIBUTES:
-            spec = Sdf.AttributeSpec(points, attribute.name, Sdf.ValueTypeNames.Find(attribute.type_name))
+        mesh = is_mesh(prim)
+        if mesh and not layer.GetPrimAtPath(f"/World/{SURFACE}"):
+            Sdf.PrimSpec(world, SURFACE, Sdf.SpecifierDef, "Xform")
+        parent = layer.GetPrimAtPath(f"/World/{SURFACE}") if mesh else world
+        spec = Sdf.PrimSpec(parent, prim.rsplit("/", 1)[-1], Sdf.SpecifierDef, "Mesh" if mesh else "Points")
+        for attribute in attributes_of(prim):
+            found = Sdf.AttributeSpec(spec, attribute.name, Sdf.ValueTypeNames.Find(attribute.type_name))
             if attribute.interpolation:
-                spec.SetInfo("interpolation", attribute.interpolation)
-        if any(origin):
-            Sdf.AttributeSpec(points, _TRANSLATE, Sdf.ValueTypeNames.Double3).default = Gf.Vec3d(*origin)
-            order = Sdf.AttributeSpec(points, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform)
-            order.default = Vt.TokenArray([_TRANSLATE])
+                found.SetInfo("interpolation", attribute.interpolation)
+        if mesh and fixed:
+            for name, kind, value in (("subdivisionScheme", "token", "none"), ("doubleSided", "bool", True)):
+                Sdf.AttributeSpec(spec, name, Sdf.ValueTypeNames.Find(kind), Sdf.VariabilityUniform).default = value
+        _translate(spec, origin)
+
+
+def _translate(spec, origin: Origin) -> None:
+    """Move a prim to `origin`, in float64; nothing for the world's."""
+    from pxr import Gf, Sdf, Vt
+
+    if any(origin):
+        Sdf.AttributeSpec(spec, _TRANSLATE, Sdf.ValueTypeNames.Double3).default = Gf.Vec3d(*origin)
+        order = Sdf.AttributeSpec(spec, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform)
+        order.default = Vt.TokenArray([_TRANSLATE])
 
 
 def origin_of(layer, prim: str) -> Origin:
@@ -289,27 +362,43 @@ def origin_of(layer, prim: str) -> Origin:
     return tuple(place)
 
 
-def _frame_layer(frame_index: int, fps: float, frames: Mapping[str, ParticleFrame], gain: float, index: float):
+def _frame_layer(frame_index: int, fps: float, frames: Mapping, gain: float, index: float):
     """The layer of one frame: every attribute with one sample at its own time code."""
-    from pxr import UsdGeom, Vt
-
     layer = _new_layer(".usdc", fps)
     layer.startTimeCode = layer.endTimeCode = frame_index
     layer.customLayerData = {METADATA_KEY: {"schemaVersion": SCHEMA_VERSION, "thicknessUnit": THICKNESS_UNIT}}
     _declare(layer, list(frames), next(iter(frames.values())).origin)
     for prim, frame in frames.items():
-        values = {}
-        for attribute in ATTRIBUTES[:-1]:
-            array = getattr(frame, attribute.field) if attribute.field else display_color(frame.thickness, gain, index)
-            values[attribute.name] = getattr(Vt, attribute.array).FromNumpy(array)
-        values["extent"] = UsdGeom.Points.ComputeExtent(values["points"], values["widths"])
-        for name, value in values.items():
-            layer.SetTimeSample(f"/World/{prim}.{name}", float(frame_index), value)
+        _set_values(layer, frame_index, prim, frame, gain, index)
     return layer
 
 
+def _set_values(
+    layer, frame_index: int, prim: str, frame: ParticleFrame | MeshFrame, gain: float, index: float
+) -> None:
+    """Write the samples of one prim at its frame's time code."""
+    from pxr import UsdGeom, Vt
+
+    values = {}
+    for attribute in attributes_of(prim)[:-1]:
+        if attribute.name == "primvars:displayColor":
+            array = display_color(frame.thickness, gain, index)
+        elif attribute.name == "faceVertexCounts":
+            array = np.full(len(frame.faces), 3, np.int32)
+        else:
+            array = getattr(frame, attribute.field)
+        flat = array.reshape(-1) if attribute.columns == 1 else array
+        values[attribute.name] = getattr(Vt, attribute.array).FromNumpy(np.ascontiguousarray(flat))
+    if is_mesh(prim):
+        values["extent"] = UsdGeom.PointBased.ComputeExtent(values["points"])
+    else:
+        values["extent"] = UsdGeom.Points.ComputeExtent(values["points"], values["widths"])
+    for name, value in values.items():
+        layer.SetTimeSample(f"/World/{prim}.{name}", float(frame_index), value)
+
+
 def _add_preview_material(stage, prims: Sequence[str]) -> None:
-    """A UsdPreviewSurface that shows displayColor, bound to every point prim."""
+    """A UsdPreviewSurface that shows displayColor, bound to every prim."""
     from pxr import Sdf, UsdGeom, UsdShade
 
     UsdGeom.Scope.Define(stage, "/World/Looks")
@@ -327,35 +416,99 @@ def _add_preview_material(stage, prims: Sequence[str]) -> None:
         UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(f"/World/{prim}")).Bind(material)
 
 
-def _root_layer(fps: float, prims: Sequence[str], metadata: dict, origin: Origin):
+def _root_layer(fps: float, prims: Sequence[str], metadata: dict, origin: Origin, rims: Sequence[np.ndarray]):
     """The root without its time range and clips, see `_set_range`."""
-    from pxr import Usd, UsdGeom
+    from pxr import Usd
 
     layer = _new_layer(".usda", fps)
-    layer.documentation = "Soap film point cache. SI units, except primvars:thickness, which is in nanometres."
+    layer.documentation = "Soap film cache. SI units, except primvars:thickness, which is in nanometres."
     layer.customLayerData = {METADATA_KEY: metadata}
     _declare(layer, prims, origin)
+    if rims:
+        _add_rims(layer, rims, origin)
     stage = Usd.Stage.Open(layer)
     _add_preview_material(stage, prims)
-    for prim in prims[1:]:
+    _set_purposes(stage, prims)
+    return layer
+
+
+def _set_purposes(stage, prims: Sequence[str]) -> None:
+    """Show one thing by default, the meshes or else the first set of particles; the others are guides."""
+    from pxr import UsdGeom
+
+    points = [prim for prim in prims if not is_mesh(prim)]
+    for prim in points if len(points) < len(prims) else points[1:]:
         UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{prim}")).CreatePurposeAttr(UsdGeom.Tokens.guide)
+
+
+def _add_rims(layer, rims: Sequence[np.ndarray], origin: Origin) -> None:
+    """The wires that hold the film, as closed curves that stay where they are."""
+    from pxr import Gf, Usd, UsdGeom, Vt
+
+    stage = Usd.Stage.Open(layer)
+    curves = UsdGeom.BasisCurves.Define(stage, f"/World/{RIM}")
+    points = Vt.Vec3fArray.FromNumpy(np.concatenate(rims).astype(np.float32))
+    size = float(np.ptp(np.concatenate(rims), axis=0).max())
+    curves.CreateTypeAttr(UsdGeom.Tokens.linear)
+    curves.CreateWrapAttr(UsdGeom.Tokens.periodic)
+    curves.CreatePointsAttr(points)
+    curves.CreateCurveVertexCountsAttr([len(rim) for rim in rims])
+    widths = Vt.FloatArray([WIRE_WIDTH * size])
+    curves.CreateWidthsAttr(widths)
+    curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+    curves.CreateDisplayColorAttr([Gf.Vec3f(0.3)])
+    curves.CreateExtentAttr(UsdGeom.Curves.ComputeExtent(points, widths))
+    _translate(layer.GetPrimAtPath(f"/World/{RIM}"), origin)
+
+
+def read_rims(directory: str | os.PathLike) -> list[np.ndarray]:
+    """Return the points [k, 3] along each wire that holds the film, in order, from its prim's place, m.
+
+    Raises:
+        InputError: there is no root, or what it says of its wires is no such thing.
+    """
+    path = Path(directory) / ROOT
+    try:
+        return rims_of(open_layer(path))
+    except (TypeError, ValueError, RuntimeError) as error:  # what Python makes of values of another kind
+        raise InputError(f"{path}: /World/{RIM} cannot be read: {_reason(error)}") from None
+
+
+def rims_of(root) -> list[np.ndarray]:
+    """The same of a root that is open."""
+    points = root.GetAttributeAtPath(f"/World/{RIM}.points")
+    counts = root.GetAttributeAtPath(f"/World/{RIM}.curveVertexCounts")
+    if points is None or counts is None:
+        return []
+    points, counts = np.array(points.default, dtype=np.float64), np.array(counts.default, dtype=np.int64)
+    sound = points.ndim == 2 and points.shape[1] == 3 and bool((np.abs(points) <= LARGEST).all())
+    fit = counts.ndim == 1 and len(counts) and counts.min() >= 3 and counts.sum() == len(points)
+    require(sound and bool(fit), f"/World/{RIM}", points.shape, "closed curves of three points or more")
+    return np.split(points, np.cumsum(counts)[:-1])
+
+
+def _manifest_layer(fps: float, prims: Sequence[str]):
+    """What the frames hold."""
+    layer = _new_layer(".usda", fps)
+    _declare(layer, prims, fixed=False)
     return layer
 
 
 def _set_range(layer, first: int, last: int) -> None:
-    """Give the root its time range and the value clips of these frames."""
+    """Give the root its time range, and each prim the value clips of these frames."""
     from pxr import Sdf
 
     layer.startTimeCode, layer.endTimeCode = first, last
-    clips = {
-        "primPath": "/World",
-        "manifestAssetPath": Sdf.AssetPath(f"./{MANIFEST}"),
-        "templateAssetPath": CLIP_TEMPLATE,
-        "templateStartTime": float(first),
-        "templateEndTime": float(last),
-        "templateStride": 1.0,
-    }
-    layer.GetPrimAtPath("/World").SetInfo("clips", {"default": clips})
+    for prim in prims_of(layer):
+        clips = {
+            "primPath": f"/World/{prim}",
+            "manifestAssetPath": Sdf.AssetPath(f"./{MANIFEST}"),
+            "templateAssetPath": CLIP_TEMPLATE,
+            "templateStartTime": float(first),
+            "templateEndTime": float(last),
+            "templateStride": 1.0,
+        }
+        layer.GetPrimAtPath(f"/World/{prim}").SetInfo("clips", {"default": clips})
 
 
 # --- writing -------------------------------------------------------------------------------------------------------
@@ -373,11 +526,12 @@ class CacheWriter:
         metadata: stored in the root's customLayerData under "melpWarp". Needs "scene" (text) and "seed" (whole
             number); may hold more text, bools, numbers and mappings of these. Schema version, thickness unit,
             refractive index, colour gain and program versions are added.
-        prims: names of the point prims under /World, "Film" first. Every other one ("FilmE") has purpose "guide":
-            viewers show it only on demand.
+        prims: names of the prims under /World: point prims, "Film" first, then meshes (`surface_prim`). Particles
+            have purpose "guide" where there are meshes, and other sets ("FilmE") always: viewers show them on demand.
         gain: factor on the reflectance in displayColor.
         index: refractive index of the film.
         origin: where the points of all frames are measured from, m: the prims are translated there, in float64.
+        rims: points [k, 3] along each wire that holds the film, from `origin`, m.
 
     Raises:
         InputError: an argument is out of range, or the folder holds a run, is a file or cannot be written.
@@ -392,13 +546,15 @@ class CacheWriter:
         gain: float = DISPLAY_GAIN,
         index: float = WATER_INDEX,
         origin: Origin = (0.0, 0.0, 0.0),
+        rims: Sequence[np.ndarray] = (),
     ):
         require(np.isscalar(fps) and np.isfinite(fps) and fps > 0.0, "fps", fps, "a number above 0")
         require(isinstance(metadata.get("scene"), str), "metadata.scene", metadata.get("scene"), "text")
         require(
             isinstance(metadata.get("seed"), (int, np.integer)), "metadata.seed", metadata.get("seed"), "a whole number"
         )
-        names = len(set(prims)) == len(prims) and "Looks" not in prims and all(str(p).isidentifier() for p in prims)
+        names = len(set(prims)) == len(prims) and not set(prims) & set(_NAMES_TAKEN)
+        names = names and all(str(p).removeprefix(f"{SURFACE}/").isidentifier() for p in prims)
         require(names and list(prims[:1]) == ["Film"], "prims", list(prims), '"Film" and then other names, each once')
         display_color(np.zeros(0, np.float32), gain, index)  # checks gain and index
         own = {
@@ -416,13 +572,11 @@ class CacheWriter:
         self._first: int | None = None
         self._last: int | None = None
         self._origin = tuple(float(x) for x in origin)
-        self._root = _root_layer(self._fps, self._prims, _checked_metadata(metadata) | own, self._origin)
+        self._root = _root_layer(self._fps, self._prims, _checked_metadata(metadata) | own, self._origin, rims)
         _claim(self.directory)
-        manifest = _new_layer(".usda", self._fps)
-        _declare(manifest, self._prims)
-        self._manifest = _export(manifest, self.directory / MANIFEST)
+        self._manifest = _export(_manifest_layer(self._fps, self._prims), self.directory / MANIFEST)
 
-    def write(self, frame_index: int, frames: Mapping[str, ParticleFrame]) -> dict[str, str]:
+    def write(self, frame_index: int, frames: Mapping[str, ParticleFrame | MeshFrame]) -> dict[str, str]:
         """Add one frame and bring the root up to date.
 
         Args:
@@ -444,7 +598,7 @@ class CacheWriter:
         require(follows, "frame_index", frame_index, f"{self._last} + 1, the frame after the one before")
         require(set(frames) == set(self._prims), "frames", sorted(frames), f"one for each of {list(self._prims)}")
         for prim in self._prims:
-            _check_arrays(f"frame {frame_index} {prim}", frames[prim])
+            _check_arrays(f"frame {frame_index} {prim}", frames[prim], attributes_of(prim))
             found = frames[prim].origin
             require(
                 found == self._origin, f"frame {frame_index} {prim}.origin", found, f"that of the cache, {self._origin}"
@@ -469,10 +623,24 @@ def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> 
     Raises:
         InputError: the frame or prim is not there, the file is damaged, or it holds what `CacheWriter` would not write.
     """
+    return read_prim(directory, frame, prim)
+
+
+def read_mesh(directory: str | os.PathLike, frame: int, region: int = 0) -> MeshFrame:
+    """Return the mesh of one region in one frame, bit for bit as it was written; empty where the region is not there.
+
+    Raises:
+        InputError: as `read_frame`.
+    """
+    return read_prim(directory, frame, surface_prim(region))
+
+
+def read_prim(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame | MeshFrame:
+    """Either of them by the prim's name from /World."""
     path = frame_path(directory, frame)
     layer = open_layer(path)
     arrays = {}
-    for attribute in ATTRIBUTES:
+    for attribute in attributes_of(prim):
         if attribute.field is None:
             continue
         array = read_sample(layer, prim, attribute, frame)
@@ -480,8 +648,11 @@ def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> 
             raise InputError(f"{path}: /World/{prim}.{attribute.name} {array}")
         arrays[attribute.field] = array
     try:
-        read = ParticleFrame(**arrays, origin=origin_of(layer, prim))
-        _check_arrays(prim, read)
+        if is_mesh(prim):
+            require(len(arrays["faces"]) % 3 == 0, f"{prim}.faces", len(arrays["faces"]), "three corners a face")
+            arrays["faces"] = arrays["faces"].reshape(-1, 3)
+        read = (MeshFrame if is_mesh(prim) else ParticleFrame)(**arrays, origin=origin_of(layer, prim))
+        _check_arrays(prim, read, attributes_of(prim))
     except (InputError, SimulationError) as error:
         raise InputError(f"{path}: {error}") from None
     return read
@@ -508,7 +679,7 @@ def read_metadata(directory: str | os.PathLike) -> dict:
 
     Returns:
         The metadata given to `CacheWriter` with schemaVersion, thicknessUnit, refractiveIndex, colorGain and
-        versions, and besides framesPerSecond, startTimeCode, endTimeCode and prims (list of names).
+        versions, and besides framesPerSecond, startTimeCode, endTimeCode and prims (list of names from /World).
 
     Raises:
         InputError: there is no cache, or it is not one of this program.
@@ -518,7 +689,7 @@ def read_metadata(directory: str | os.PathLike) -> dict:
     try:
         data = layer.customLayerData.get(METADATA_KEY)
         times = {name: getattr(layer, name) for name in ("framesPerSecond", "startTimeCode", "endTimeCode")}
-        prims = point_prims(layer)
+        prims = prims_of(layer)
     except Exception as error:  # values that Python cannot hold
         raise InputError(f"{path} cannot be read: {_reason(error)}") from error
     if not isinstance(data, dict):
@@ -528,13 +699,7 @@ def read_metadata(directory: str | os.PathLike) -> dict:
     return data | times | {"prims": prims}
 
 
-def point_prims(root) -> list[str]:
-    """Names of the point prims under /World."""
-    world = root.GetPrimAtPath("/World")
-    return [child.name for child in world.nameChildren if child.typeName == "Points"] if world else []
-
-
-def check_sizes(path: Path, frame: ParticleFrame) -> None:
+def check_sizes(path: Path, frame: ParticleFrame | MeshFrame) -> None:
     """Refuse numbers with which nothing can be drawn or measured, though they can be stored.
 
     Raises:
@@ -543,10 +708,11 @@ def check_sizes(path: Path, frame: ParticleFrame) -> None:
     if not len(frame.points):
         return
     for name in ("points", "velocities", "widths", "normals", "thickness"):
-        largest = float(np.abs(getattr(frame, name)).max())
+        largest = float(np.abs(getattr(frame, name, np.zeros(1))).max())
         require(largest <= LARGEST, f"{path}: {name}", largest, f"at most {LARGEST:g}")
-    low, high = int(frame.region.min()), int(frame.region.max())
-    require(0 <= low <= high < MOST_REGIONS, f"{path}: region", [low, high], f"from 0 to {MOST_REGIONS - 1}")
+    if isinstance(frame, ParticleFrame):
+        low, high = int(frame.region.min()), int(frame.region.max())
+        require(0 <= low <= high < MOST_REGIONS, f"{path}: region", [low, high], f"from 0 to {MOST_REGIONS - 1}")
 
 
 def refers_to(layer) -> list[str]:
@@ -566,6 +732,68 @@ def refers_to(layer) -> list[str]:
 
     layer.Traverse("/", visit)
     return found
+
+
+def add_meshes(
+    directory: str | os.PathLike, make: Callable[[int], Mapping[int, MeshFrame]], regions: Sequence[int]
+) -> dict[str, str]:
+    """Put meshes into the frames of a cache, in place of those that are there.
+
+    Frame after frame is replaced as a whole, the manifest and the root last: what was there stays valid throughout.
+
+    Args:
+        directory: folder of the cache.
+        make: gives the meshes of a frame by region; regions that are left out are not there.
+        regions: all regions of the run.
+
+    Returns:
+        SHA-256 of the files that were written, by their paths in the folder.
+
+    Raises:
+        InputError: no cache, a damaged frame, or a file that cannot be written.
+    """
+    directory = Path(directory)
+    root, sums = open_layer(directory / ROOT), {}
+    require(not refers_to(root), "directory", str(directory), "a cache that refers to its own frames alone")
+    metadata = read_metadata(directory)
+    gain, index = metadata["colorGain"], metadata["refractiveIndex"]
+    points = [prim for prim in prims_of(root) if not is_mesh(prim)]
+    origin = origin_of(root, points[0])
+    meshes = [surface_prim(region) for region in regions]
+    for frame in list_frames(directory):
+        path = frame_path(directory, frame)
+        layer, made = open_layer(path), make(frame)
+        _drop_meshes(layer)
+        _declare(layer, meshes, origin)
+        for region, prim in zip(regions, meshes, strict=True):
+            mesh = made.get(region) or MeshFrame.empty(origin)
+            _check_arrays(f"frame {frame} {prim}", mesh, MESH_ATTRIBUTES)
+            _set_values(layer, frame, prim, mesh, gain, index)
+        sums[f"{FRAMES}/{path.name}"] = _export(layer, path)
+    manifest = _manifest_layer(metadata["framesPerSecond"], [*points, *meshes])
+    sums[MANIFEST] = _export(manifest, directory / MANIFEST)
+    _drop_meshes(root)
+    _declare(root, meshes, origin)
+    _bind(root, meshes)
+    _set_range(root, int(metadata["startTimeCode"]), int(metadata["endTimeCode"]))
+    return sums | {ROOT: _export(root, directory / ROOT)}
+
+
+def _drop_meshes(layer) -> None:
+    surface = layer.GetPrimAtPath(f"/World/{SURFACE}")
+    if surface:
+        del layer.GetPrimAtPath("/World").nameChildren[SURFACE]
+
+
+def _bind(root, meshes: Sequence[str]) -> None:
+    """Give meshes that were added the material of the cache, and make them what is shown."""
+    from pxr import Usd, UsdShade
+
+    stage = Usd.Stage.Open(root)
+    material = UsdShade.Material(stage.GetPrimAtPath(_MATERIAL))
+    for prim in meshes:
+        UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(f"/World/{prim}")).Bind(material)
+    _set_purposes(stage, prims_of(root))
 
 
 # --- other forms ---------------------------------------------------------------------------------------------------
@@ -618,6 +846,58 @@ def write_look(directory: str | os.PathLike) -> Path:
     path = Path(directory) / LOOK
     _export(layer, path)
     return path
+
+
+def write_stage(directory: str | os.PathLike, eye: Sequence[float], target: Sequence[float], up, fov: float) -> Path:
+    """Write film_stage.usda: the cache under a camera and lights of its own, apart from what is referenced elsewhere.
+
+    Args:
+        directory: folder of the cache.
+        eye: [3] where the camera stands, from the place of the cache's prims, m.
+        target: [3] what is in the middle of the picture, m.
+        up: [3] direction that points up in the picture.
+        fov: angle of view over the picture's height, degrees.
+
+    Returns:
+        The path of the file; one that exists is replaced.
+
+    Raises:
+        InputError: no cache, or the file cannot be written.
+    """
+    from pxr import Gf
+
+    directory = Path(directory)
+    root, metadata = open_layer(directory / ROOT), read_metadata(directory)
+    origin = Gf.Vec3d(*origin_of(root, metadata["prims"][0]))
+    view = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*eye) + origin, Gf.Vec3d(*target) + origin, Gf.Vec3d(*up))
+    away = float(np.linalg.norm(np.subtract(eye, target)))
+    layer = _stage_layer(metadata["framesPerSecond"], view.GetInverse(), away, fov)
+    layer.startTimeCode, layer.endTimeCode = metadata["startTimeCode"], metadata["endTimeCode"]
+    layer.subLayerPaths.append(f"./{ROOT}")
+    path = directory / STAGE
+    _export(layer, path)
+    return path
+
+
+def _stage_layer(fps: float, place, away: float, fov: float):
+    """A camera at the transform `place`, `away` (m) from what it looks at, and lights."""
+    from pxr import Gf, Usd, UsdGeom, UsdLux
+
+    layer = _new_layer(".usda", fps)
+    stage = Usd.Stage.Open(layer)
+    UsdGeom.Xform.Define(stage, "/Stage")
+    camera = UsdGeom.Camera.Define(stage, "/Stage/Camera")
+    camera.AddTransformOp().Set(place)
+    camera.CreateVerticalApertureAttr(24.0)
+    camera.CreateHorizontalApertureAttr(24.0 * 16.0 / 9.0)
+    camera.CreateFocalLengthAttr(12.0 / float(np.tan(0.5 * np.radians(fov))))
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * away, 100.0 * away))
+    UsdLux.DomeLight.Define(stage, "/Stage/Sky").CreateIntensityAttr(0.4)
+    for name, turn, intensity in (("Key", (-40.0, 35.0, 0.0), 1.2), ("Fill", (-10.0, -70.0, 0.0), 0.5)):
+        light = UsdLux.DistantLight.Define(stage, f"/Stage/{name}")
+        light.CreateIntensityAttr(intensity)
+        light.AddRotateXYZOp().Set(Gf.Vec3f(*turn))
+    return layer
 
 
 def _look_layer(fps: float, index: float):

@@ -112,9 +112,9 @@ def clear_samples(path):
 
 def set_clips(**changes):
     def change(layer):
-        world = layer.GetPrimAtPath("/World")
-        clips = dict(world.GetInfo("clips")["default"]) | changes
-        world.SetInfo("clips", {"default": clips})
+        film = layer.GetPrimAtPath(FILM)
+        clips = dict(film.GetInfo("clips")["default"]) | changes
+        film.SetInfo("clips", {"default": clips})
 
     return change
 
@@ -144,7 +144,7 @@ def clear_start(layer):
 
 
 def drop_clips(layer):
-    layer.GetPrimAtPath("/World").ClearInfo("clips")
+    layer.GetPrimAtPath(FILM).ClearInfo("clips")
 
 
 def unbind(layer):
@@ -335,21 +335,21 @@ ROOT_FAULTS = {
     ),
     "clips shorter than the range": (
         in_root(set_clips(templateEndTime=2.0)),
-        ["film.usda: /World: clips templateEndTime: is 2.0, must be 3.0"],
+        ["film.usda: /World/Film: clips templateEndTime: is 2.0, must be 3.0"],
     ),
     "active offset": (
         in_root(set_clips(templateActiveOffset=0.5)),
-        ["film.usda: /World: clips templateActiveOffset: is 0.5, must be None"],
+        ["film.usda: /World/Film: clips templateActiveOffset: is 0.5, must be None"],
     ),
     "no manifest named": (
         in_root(set_clips(manifestAssetPath=Sdf.AssetPath())),
         [
-            "film.usda: /World: clips manifestAssetPath: is '', must be './film.manifest.usda'",
+            "film.usda: /World/Film: clips manifestAssetPath: is '', must be './film.manifest.usda'",
         ],
     ),
     "no clips": (
         in_root(drop_clips),
-        ["film.usda: /World: has no value clips"],
+        ["film.usda: /World/Film: has no value clips"],
     ),
     "no material": (in_root(unbind), ["film.usda: /World/Film.material:binding: names no material"]),
     "kind": (in_root(set_info("/World", "kind", "group")), ["film.usda: /World: kind: is 'group', must be"]),
@@ -357,7 +357,7 @@ ROOT_FAULTS = {
         in_root(set_metadata(thicknessUnit="um")),
         ["film.usda: melpWarp.thicknessUnit: is 'um', must be 'nm'"],
     ),
-    "schema": (in_root(set_metadata(schemaVersion=2)), ["film.usda: melpWarp.schemaVersion: is 2, must be 1"]),
+    "schema": (in_root(set_metadata(schemaVersion=1)), ["film.usda: melpWarp.schemaVersion: is 1, must be 2"]),
     "no gain": (in_root(set_metadata(colorGain=None)), ["film.usda: melpWarp.colorGain: missing from customLayerData"]),
     "attribute not in the manifest": (
         in_manifest(remove(f"{FILM}.velocities")),
@@ -430,7 +430,7 @@ def test_missing_layers(cache):
 def test_another_file_pattern(cache):
     in_root(set_clips(templateAssetPath="./frames/film.####.usdc"))(cache)
     (found,) = check_cache(cache)
-    assert found.startswith("film.usda: /World: clips templateAssetPath: is './frames/film.####.usdc', must be ")
+    assert found.startswith("film.usda: /World/Film: clips templateAssetPath: is './frames/film.####.usdc', must be ")
 
 
 def test_what_is_taken_from_elsewhere_is_named_and_not_opened(cache):
