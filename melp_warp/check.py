@@ -424,11 +424,11 @@ def _check_arrays(name: str, prim: str, arrays: dict[str, np.ndarray], metadata:
         if rule_name in arrays:
             problems += [f"{where}.{rule_name}: {problem}" for problem in rule(arrays, metadata)]
     if is_mesh(prim) and {"faceVertexCounts", "faceVertexIndices"} <= set(arrays):
-        problems += [f"{where}: {problem}" for problem in _check_surface(arrays, rims)]
+        problems += [f"{where}: {problem}" for problem in check_surface(arrays, rims)]
     return problems
 
 
-def _check_surface(arrays: dict, rims: int) -> list[str]:
+def check_surface(arrays: dict, rims: int) -> list[str]:
     """Triangles that make one closed oriented surface, open at as many rims as the film has; empty for no region."""
     counts, corners, n = arrays["faceVertexCounts"], arrays["faceVertexIndices"], len(arrays["points"])
     if (counts != 3).any() or 3 * len(counts) != len(corners):

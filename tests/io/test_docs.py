@@ -49,6 +49,7 @@ SHORT_TOOLS = {
     "bench.py": "--only cases --case oscillating_bubble --frames 1",
     "figures.py": "--size 64",
     "limits.py": "--only radius --random 1",
+    "mesh.py": "--largest 200",
     "tradeoff.py": "--only marangoni --size 0.3 --points 1",
     "validate.py": "--only rest",
     "validate_foams.py": "",
@@ -243,7 +244,7 @@ def test_other_programs_are_called_with_what_there_is(command, files, short_cach
         subprocess.run(command.words, check=True)
 
 
-@pytest.mark.parametrize("name", ["run", "preview", "check", "measure", "tradeoff"])
+@pytest.mark.parametrize("name", ["run", "preview", "mesh", "check", "measure", "tradeoff"])
 def test_every_option_is_documented(name):
     """docs/command-line.md or the subcommand's own page names every option that there is, in a code span or block."""
     text = (ROOT / "docs" / "command-line.md").read_text() + (ROOT / "docs" / "measure.md").read_text()

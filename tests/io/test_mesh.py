@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from melp_warp import cli
-from melp_warp.check import _check_surface, check_cache
+from melp_warp.check import check_cache
 from melp_warp.errors import InputError
 from melp_warp.frame import MeshFrame, ParticleFrame
 from melp_warp.mesh import MOST_CORNERS, make_meshes
+from melp_warp.mesh_validation import area_of, liquid_in, liquid_of, problems_of, volume_of
 from melp_warp.noise import Perlin
 from melp_warp.shapes import Cap, Catenoid, Disc, Ellipsoid, Jittered, Rectangle, Sphere, displaced_sphere
 from melp_warp.usd import list_frames, read_frame, read_mesh, read_metadata, surface_prim
@@ -29,38 +30,6 @@ def frame_of(samples, thickness=lambda x: 400.0 + 1000.0 * x[:, 1], velocity=lam
         region=np.zeros(n, np.int32),
         black_film=(x[:, 1] > 0.5 * RADIUS).astype(np.int32),
     )
-
-
-def face_vectors(mesh):
-    a, b, c = (mesh.points.astype(np.float64)[mesh.faces[:, k]] for k in range(3))
-    return 0.5 * np.cross(b - a, c - a)
-
-
-def area_of(mesh):
-    return np.linalg.norm(face_vectors(mesh), axis=1).sum()
-
-
-def volume_of(mesh):
-    return np.einsum("ij,ij->", mesh.points.astype(np.float64)[mesh.faces[:, 0]], face_vectors(mesh)) / 3.0
-
-
-def liquid_of(mesh):
-    return (np.linalg.norm(face_vectors(mesh), axis=1) * mesh.thickness[mesh.faces].mean(axis=1, dtype=float)).sum()
-
-
-def liquid_in(frame):
-    return (0.25 * np.pi * frame.widths.astype(float) ** 2 * frame.thickness).sum()
-
-
-def problems_of(mesh, rims=0):
-    """What the checker finds: edges used other than twice, pieces, Euler number, flipped faces."""
-    arrays = {
-        "points": mesh.points,
-        "normals": mesh.normals,
-        "faceVertexCounts": np.full(len(mesh.faces), 3),
-        "faceVertexIndices": mesh.faces.reshape(-1),
-    }
-    return _check_surface(arrays, rims)
 
 
 def bubble(e_count, l_per_e=16, shape=None, jitter=0.15, **fields):
