@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -62,6 +62,11 @@ def run_file(path: str) -> int:
 def _report(message: object, code: int) -> int:
     print(f"melp-warp: error: {' '.join(str(message).split())}", file=sys.stderr)
     return code
+
+
+def _warn(doubts: Iterable[str]) -> None:
+    for doubt in doubts:
+        print(f"melp-warp: warning: {doubt}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -202,7 +207,8 @@ def _run(options: argparse.Namespace) -> int:
     from melp_warp.registry import load_scene
 
     script = load_scene(options.scene)
-    values = find_quality(options.quality).values(script, script.parameters.parse(_settings(options)))
+    given = script.parameters.parse(_settings(options))
+    values = find_quality(options.quality).values(script, given)
     plan = runner.Plan(
         scene=replace(script.build(values), budget=not options.no_budget),
         name=script.name,
@@ -217,6 +223,8 @@ def _run(options: argparse.Namespace) -> int:
         start=options.start,
         strict=options.strict,
     )
+    if not options.quiet:
+        _warn(script.parameters.doubts(given))
     if options.estimate:
         print(runner.estimate(plan).table())
         return OK
@@ -336,5 +344,6 @@ def _tradeoff(options: argparse.Namespace) -> int:
     require(options.frames >= 1, "--frames", options.frames, "a whole number above 0")
     script = load_scene(options.scene)
     overrides = script.parameters.parse(options.set)
+    _warn(script.parameters.doubts(overrides))
     print(runner.trade(script, overrides, options.e, options.frames, options.out))
     return OK

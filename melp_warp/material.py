@@ -7,42 +7,39 @@ from dataclasses import dataclass
 import numpy as np
 
 from melp_warp.errors import require
+from melp_warp.keys import Key, at_least_zero, check_numbers, keys_of, positive, quantity, word
 
 GAS_CONSTANT = 8.31446261815324
 """R, J/(mol K)."""
 
-
-def _finite(value: float) -> bool:
-    return isinstance(value, (int, float, np.integer, np.floating)) and bool(np.isfinite(value))
+THICKNESS = Key("m", "reference thickness eta_0", 1e-9, 1e-4, spoken="nm", usual=(3e-9, 1e-5))
 
 
 @dataclass(frozen=True)
 class Material:
-    """The liquid of the film.
+    """The liquid of the film. It has sigma = sigma_0 - R T Gamma on each side."""
 
-    Attributes:
-        thickness: reference thickness eta_0, m.
-        tension: sigma_0 of the pure liquid, N/m; the film has sigma = sigma_0 - R T Gamma on each side.
-        surfactant: reference concentration Gamma_0 per interface, mol/m^2.
-        density: rho, kg/m^3.
-        temperature: T, K.
-        viscosity: kinematic viscosity nu of the in-plane flow, m^2/s.
-    """
-
-    thickness: float = 400e-9
-    tension: float = 0.0728
-    surfactant: float = 1e-7
-    density: float = 997.0
-    temperature: float = 298.15
-    viscosity: float = 0.0
+    thickness: float = quantity(THICKNESS, 400e-9)
+    tension: float = quantity(
+        positive("N/m", "surface tension of pure water, sigma_0", 10.0, spoken="mN/m", usual=(1e-3, 0.5)), 0.0728
+    )
+    surfactant: float = quantity(
+        at_least_zero(
+            "mol/m^2", "reference surfactant on each side, Gamma_0", 1e-3, spoken="umol/m^2", usual=(0.0, 3e-5)
+        ),
+        1e-7,
+    )
+    density: float = quantity(
+        positive("kg/m^3", "density of the liquid", 1e5, spoken="g/cm^3", usual=(300.0, 3000.0)), 997.0
+    )
+    temperature: float = quantity(positive("K", "temperature", 1e4, spoken="degC", usual=(200.0, 400.0)), 298.15)
+    viscosity: float = quantity(
+        at_least_zero("m^2/s", "kinematic viscosity of the flow in the film", 10.0, spoken="cSt", usual=(0.0, 0.01)),
+        0.0,
+    )
 
     def __post_init__(self):
-        for field in ("thickness", "tension", "density", "temperature"):
-            value = getattr(self, field)
-            require(_finite(value) and value > 0.0, field, value, "a number above 0")
-        for field in ("surfactant", "viscosity"):
-            value = getattr(self, field)
-            require(_finite(value) and value >= 0.0, field, value, "a number of at least 0")
+        check_numbers(self)
         require(
             self.film_tension > 0.0,
             "surfactant",
@@ -73,35 +70,35 @@ AIR_MODELS = ("none", "added_mass")
 class Surroundings:
     """What acts on the film from outside.
 
-    Attributes:
-        gravity: acceleration vector, m/s^2.
-        pressure: atmospheric pressure p_atm, Pa.
-        air: "none", or "added_mass" for the inertia of the air that the film moves (normal motion).
-        air_density: kg/m^3.
-        air_drag: factor on the quasi-steady drag of a sphere on each closed film as a whole, where `air` is on; 1 as
-            measured, 0 for none.
-        drag: traction of the air per tangential film speed, both sides together, Pa s/m; where `air_drag` is at work,
-            of the speed against the film as a whole.
-        damping: rate at which the air takes up the normal motion of a foam's films against their cluster as a whole,
-            1/s.
-        lift: fraction of the film's weight that a lighter gas inside carries; 1 hovers, 0 falls. Closed films only.
+    `gravity` is a vector, along -y in scenes of the command line. `air_drag` 1 is the quasi-steady drag as measured.
+    Where it is at work, `drag` is the traction of the speed against the film as a whole. `damping` is of foams, against
+    their cluster as a whole; `lift` is of closed films.
     """
 
-    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    pressure: float = 101325.0
-    air: str = "none"
-    air_density: float = 1.204
-    air_drag: float = 1.0
-    drag: float = 0.0
-    damping: float = 0.0
-    lift: float = 0.0
+    gravity: tuple[float, float, float] = quantity(
+        at_least_zero("m/s^2", "acceleration of gravity, downwards (-y)", 1e3, usual=(0.0, 100.0)), (0.0, 0.0, 0.0)
+    )
+    pressure: float = quantity(
+        at_least_zero("Pa", "pressure of the air outside", 1e8, spoken="atm", usual=(1e3, 1e7)), 101325.0
+    )
+    air: str = quantity(word("inertia of the air that the film moves", AIR_MODELS), "none")
+    air_density: float = quantity(positive("kg/m^3", "density of the air", 1e3, usual=(1e-3, 100.0)), 1.204)
+    air_drag: float = quantity(
+        at_least_zero("-", "factor on the drag of a sphere on a bubble as a whole, where air is on", 100.0), 1.0
+    )
+    drag: float = quantity(
+        at_least_zero("Pa s/m", "traction of the air per speed along the film, both sides", 1e3, usual=(0.0, 10.0)), 0.0
+    )
+    damping: float = quantity(
+        at_least_zero("1/s", "rate at which the air takes up the normal motion within a foam", 1e5), 0.0
+    )
+    lift: float = quantity(
+        Key("-", "share of the film's weight that a lighter gas inside carries (1 hovers)", -10.0, 10.0), 0.0
+    )
 
     def __post_init__(self):
-        require(len(self.gravity) == 3 and all(map(_finite, self.gravity)), "gravity", self.gravity, "three numbers")
-        require(_finite(self.pressure) and self.pressure >= 0.0, "pressure", self.pressure, "a number of at least 0")
-        require(self.air in AIR_MODELS, "air", self.air, f"one of {', '.join(AIR_MODELS)}")
-        require(_finite(self.air_density) and self.air_density > 0.0, "air_density", self.air_density, "above 0")
-        require(_finite(self.air_drag) and self.air_drag >= 0.0, "air_drag", self.air_drag, "a number of at least 0")
-        require(_finite(self.drag) and self.drag >= 0.0, "drag", self.drag, "a number of at least 0")
-        require(_finite(self.damping) and self.damping >= 0.0, "damping", self.damping, "a number of at least 0")
-        require(_finite(self.lift), "lift", self.lift, "a number")
+        check_numbers(self)
+        vector = self.gravity
+        three = len(vector) == 3 and all(isinstance(g, (int, float, np.number)) and np.isfinite(g) for g in vector)
+        require(three, "gravity", vector, "three numbers")
+        keys_of(Surroundings)["gravity"].check("gravity", float(np.linalg.norm(vector)))

@@ -4,207 +4,85 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-import numpy as np
-
 from melp_warp.errors import InputError, require
-from melp_warp.material import AIR_MODELS, Material, Surroundings
-from melp_warp.numerics import FLOW_SCHEMES, GRADIENTS, OPERATORS, SCHEMES, SOLVERS, Numerics
+from melp_warp.keys import Key, Value, at_least_zero, count, keys_of, positive
+from melp_warp.material import THICKNESS, Material, Surroundings
+from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
 from melp_warp.shapes import Shape
 
-Value = float | int | str | None
+__all__ = ["FOAM", "KEYS", "Key", "Parameters", "Value", "Values", "declare"]
+
+_SIZE = (5e-4, 1.0)
 
 
-@dataclass(frozen=True)
-class Key:
-    """What a parameter is and which values it takes.
-
-    Attributes:
-        unit: SI unit, "-" for a plain number.
-        meaning: one line.
-        low: smallest value.
-        high: largest value.
-        above: whether `low` itself is refused.
-        whole: whether only whole numbers are taken.
-        choices: the words it takes instead of numbers; empty for a number.
-        auto: whether "auto" (None in Python) is taken as well.
-    """
-
-    unit: str
-    meaning: str
-    low: float = -1e9
-    high: float = 1e9
-    above: bool = False
-    whole: bool = False
-    choices: tuple[str, ...] = ()
-    auto: bool = False
-
-    @property
-    def allowed(self) -> str:
-        """The values it takes, in words."""
-        if self.choices:
-            return "one of " + ", ".join(self.choices)
-        kind = "a whole number" if self.whole else "a number"
-        low = f"above {self.low:g} and at most" if self.above else f"from {self.low:g} to"
-        unit = "" if self.unit == "-" else f" {self.unit}"
-        # .15g keeps large whole limits exact
-        return f"{kind} {low} {self.high:.15g}{unit}" + (" or auto" if self.auto else "")
-
-    @property
-    def limits(self) -> str:
-        """The same, short enough for a table; without the unit."""
-        if self.choices:
-            return " | ".join(self.choices)
-        low = f"above {self.low:g}, up" if self.above else f"{self.low:g}"
-        return f"{low} to {self.high:.15g}" + (", whole" if self.whole else "") + (" | auto" if self.auto else "")
-
-    def parse(self, name: str, text: str) -> Value:
-        """Read a value typed by a user.
-
-        Raises:
-            InputError: for text that is not a value of this key.
-        """
-        text = text.strip()
-        if self.choices:
-            return self.check(name, text)
-        if self.auto and text == "auto":
-            return None
-        try:
-            number = float(text)
-        except ValueError:
-            raise InputError(f"{name} must be {self.allowed}, got {text!r}") from None
-        return self.check(name, number)
-
-    def check(self, name: str, value: Value) -> Value:
-        """Return the value, whole numbers as `int` and others as `float`.
-
-        Raises:
-            InputError: for a value that this key does not take.
-        """
-        if value is None and self.auto:
-            return None
-        if self.choices:
-            require(value in self.choices, name, value, self.allowed)
-            return value
-        number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-        ok = number and bool(np.isfinite(value)) and self.low <= value <= self.high
-        ok = ok and not (self.above and value == self.low) and not (self.whole and value != int(value))
-        require(ok, name, value, self.allowed)
-        return int(value) if self.whole else float(value)
+def _radius(meaning: str) -> Key:
+    return Key("m", meaning, 1e-4, 10.0, spoken="cm", usual=_SIZE)
 
 
-def _positive(unit: str, meaning: str, high: float) -> Key:
-    return Key(unit, meaning, 0.0, high, above=True)
+def _thickness(meaning: str) -> Key:
+    return replace(THICKNESS, meaning=meaning)
 
 
-def _at_least_zero(unit: str, meaning: str, high: float) -> Key:
-    return Key(unit, meaning, 0.0, high)
-
-
-def _count(meaning: str, low: int, high: int) -> Key:
-    return Key("-", meaning, low, high, whole=True)
-
+_OF_SHAPES = {
+    "radius": _radius("radius of the film at rest"),
+    "width": Key("m", "width of the film", 1e-4, 100.0, spoken="cm", usual=(1e-3, 10.0)),
+    "height": Key("m", "height of the film, along its slope", 1e-4, 100.0, spoken="cm", usual=(1e-3, 10.0)),
+    "tilt": Key("degrees", "lean of the film: 0 vertical, 90 lying flat", -180.0, 180.0),
+    "mode": count("number n of the Legendre mode P_n of the initial shape", 2, 20),
+    "amplitude": Key("-", "displacement of the initial shape, relative to radius", -0.5, 0.5, spoken="%"),
+    "displacement": at_least_zero(
+        "m", "scale of the noise that displaces the initial shape", 10.0, spoken="cm", usual=(0.0, 1.0)
+    ),
+    "displacement_frequency": positive("1/m", "noise cells per metre of the displacement", 1e4),
+    "displacement_octaves": count("octaves of the displacement's noise", 1, 8),
+}
+_OF_FOAMS = {
+    "radius_1": _radius("radius of the first bubble"),
+    "radius_2": _radius("radius of the second bubble"),
+    "radius_low": _radius("radius of the smallest bubble"),
+    "radius_high": _radius("radius of the largest bubble"),
+    "thickness_1": _thickness("thickness of the first bubble's film"),
+    "thickness_2": _thickness("thickness of the second bubble's film"),
+    "bubbles": count("number of bubbles", 1, 10_000),
+    "gap": at_least_zero("spacings", "distance between neighbouring bubbles at the start, in E spacings", 100.0),
+    "approach_speed": Key("m/s", "speed of each bubble towards the middle at the start", -100.0, 100.0),
+    "tension_spread": at_least_zero("-", "difference of surface tension between bubbles, relative", 0.5, spoken="%"),
+    "pop_time": Key("s", "time at which a bubble pops (auto: never)", 0.0, 1e6, auto=True),
+    "merge_time": Key("s", "time at which a partition breaks (auto: never)", 0.0, 1e6, auto=True),
+}
+_OF_FIELDS = {
+    "noise": Key("-", "unevenness of the initial thickness, relative to thickness", 0.0, 0.95, spoken="%"),
+    "noise_frequency": positive("1/m", "noise cells per metre of the initial thickness", 1e4),
+    "noise_octaves": count("octaves of the initial thickness's noise", 1, 8),
+    "swirl": at_least_zero("m/s", "typical speed of the initial whirls along the film", 100.0),
+    "separation": positive("m", "distance between the two vortex centres", 100.0),
+    "vortex_radius": positive("m", "core radius a of a vortex, where its speed is largest", 100.0),
+    "vortex_speed": Key("m/s", "speed of a vortex at vortex_radius", -100.0, 100.0),
+}
 
 KEYS: Mapping[str, Key] = MappingProxyType(
     {
-        # shape
-        "radius": Key("m", "radius of the film at rest", 1e-4, 10.0),
-        "width": Key("m", "width of the film", 1e-4, 100.0),
-        "height": Key("m", "height of the film, along its slope", 1e-4, 100.0),
-        "tilt": Key("degrees", "lean of the film: 0 vertical, 90 lying flat", -180.0, 180.0),
-        "mode": _count("number n of the Legendre mode P_n of the initial shape", 2, 20),
-        "amplitude": Key("-", "displacement of the initial shape, relative to radius", -0.5, 0.5),
-        "displacement": _at_least_zero("m", "scale of the noise that displaces the initial shape", 10.0),
-        "displacement_frequency": _positive("1/m", "noise cells per metre of the displacement", 1e4),
-        "displacement_octaves": _count("octaves of the displacement's noise", 1, 8),
-        # foams
-        "radius_1": Key("m", "radius of the first bubble", 1e-4, 10.0),
-        "radius_2": Key("m", "radius of the second bubble", 1e-4, 10.0),
-        "radius_low": Key("m", "radius of the smallest bubble", 1e-4, 10.0),
-        "radius_high": Key("m", "radius of the largest bubble", 1e-4, 10.0),
-        "thickness_1": Key("m", "thickness of the first bubble's film", 1e-9, 1e-4),
-        "thickness_2": Key("m", "thickness of the second bubble's film", 1e-9, 1e-4),
-        "bubbles": _count("number of bubbles", 1, 10_000),
-        "gap": _at_least_zero("spacings", "distance between neighbouring bubbles at the start, in E spacings", 100.0),
-        "approach_speed": Key("m/s", "speed of each bubble towards the middle at the start", -100.0, 100.0),
-        "tension_spread": _at_least_zero("-", "difference of surface tension between bubbles, relative", 0.5),
-        "pop_time": Key("s", "time at which a bubble pops (auto: never)", 0.0, 1e6, auto=True),
-        "merge_time": Key("s", "time at which a partition breaks (auto: never)", 0.0, 1e6, auto=True),
-        # initial film and flow
-        "noise": Key("-", "unevenness of the initial thickness, relative to thickness", 0.0, 0.95),
-        "noise_frequency": _positive("1/m", "noise cells per metre of the initial thickness", 1e4),
-        "noise_octaves": _count("octaves of the initial thickness's noise", 1, 8),
-        "swirl": _at_least_zero("m/s", "typical speed of the initial whirls along the film", 100.0),
-        "separation": _positive("m", "distance between the two vortex centres", 100.0),
-        "vortex_radius": _positive("m", "core radius a of a vortex, where its speed is largest", 100.0),
-        "vortex_speed": Key("m/s", "speed of a vortex at vortex_radius", -100.0, 100.0),
-        # film
-        "thickness": Key("m", "reference thickness eta_0", 1e-9, 1e-4),
-        "tension": _positive("N/m", "surface tension of pure water, sigma_0", 10.0),
-        "surfactant": _at_least_zero("mol/m^2", "reference surfactant on each side, Gamma_0", 1e-3),
-        "density": _positive("kg/m^3", "density of the liquid", 1e5),
-        "temperature": _positive("K", "temperature", 1e4),
-        "viscosity": _at_least_zero("m^2/s", "kinematic viscosity of the flow in the film", 10.0),
-        # surroundings
-        "gravity": _at_least_zero("m/s^2", "acceleration of gravity, downwards (-y)", 1e3),
-        "pressure": _at_least_zero("Pa", "pressure of the air outside", 1e8),
-        "air": Key("-", "inertia of the air that the film moves", choices=AIR_MODELS),
-        "air_density": _positive("kg/m^3", "density of the air", 1e3),
-        "air_drag": _at_least_zero(
-            "-", "factor on the drag of a sphere on a bubble as a whole, where air is on", 100.0
-        ),
-        "drag": _at_least_zero("Pa s/m", "traction of the air per speed along the film, both sides", 1e3),
-        "damping": _at_least_zero("1/s", "rate at which the air takes up the normal motion within a foam", 1e5),
-        "exchange": _at_least_zero("1/s", "rate at which liquid crosses between films that touch", 1e5),
-        "lift": Key("-", "share of the film's weight that a lighter gas inside carries (1 hovers)", -10.0, 10.0),
-        # particles
-        "e_count": _count("Eulerian particles", 12, 10_000_000),  # three supports' worth of the smallest support
-        "l_per_e": _count("Lagrangian particles per Eulerian particle (0: none)", 0, 1000),
-        "seed": _count("seed of everything random", 0, 2**31 - 1),
-        # time
-        "frames": _count("frames after the first", 0, 1_000_000),
-        "fps": _positive("1/s", "frames per simulated second", 1e6),
-        "dt": Key("s", "largest time step (auto: set by cfl)", 0.0, 1.0, above=True, auto=True),
-        # numerics
-        "layers": _count("2 for MELP; 1 for one layer of e_count particles by explicit SPH, without L", 1, 2),
-        "support": Key("spacings", "kernel support radius, in E spacings", 2.0, 8.0),
-        "scheme": Key("-", "time stepping of the normal motion", choices=SCHEMES),
-        "flow": Key("-", "time stepping of the flow along the film", choices=FLOW_SCHEMES),
-        "curvature": Key("-", "curvature operator", choices=OPERATORS),
-        "solver": Key("-", "solver of the surfactant equation", choices=SOLVERS),
-        "tolerance": Key("-", "relative residual at which solves stop", 1e-7, 0.1),
-        "max_iterations": Key(
-            "-",
-            "iterations at which a solve is given up (auto: 100 + sqrt(E) ln(2/tolerance))",
-            1,
-            10000,
-            whole=True,
-            auto=True,
-        ),
-        "cfl": Key("spacings", "largest motion in a step where dt is auto, in E spacings", 0.01, 10.0),
-        "l_order": _count("order in time of the Lagrangian motion", 1, 2),
-        "affinity": Key("-", "share of the affine part in transfers (1: APIC, 0: PIC)", 0.0, 1.0),
-        "flip": Key("-", "share that L keep of their own velocity's departure from the E (0: none, 1: FLIP)", 0.0, 1.0),
-        "skin": Key("spacings", "skin of the neighbour lists, in E spacings", 0.05, 4.0),
-        "redistribution": Key("-", "share of their unevenness that E lose in a step (0: none)", 0.0, 1.0),
-        "spread": Key("-", "relative spread of E density that is left alone", 0.0, 10.0),
-        "border": Key("spacings", "gap within which films cling to each other", 0.5, 4.0),
-        "xsph": Key("-", "smoothing of the velocity of a single layer, a step", 0.0, 1.0),
-        "gradient": Key("-", "Marangoni force of a single layer", choices=GRADIENTS),
-        "thickness_time": Key("s", "time in which L thickness relaxes to E thickness", 1e-6, 1e6),
+        **_OF_SHAPES,
+        **_OF_FOAMS,
+        **_OF_FIELDS,
+        **keys_of(Material),
+        **keys_of(Surroundings),
+        **keys_of(Scene),
+        **keys_of(Numerics),
     }
 )
-"""Every key that a scene may have."""
+"""Every key that a scene may have: those of initial shapes and fields, and the fields of the data classes."""
 
-_MATERIAL = tuple(f.name for f in fields(Material))
+_MATERIAL = tuple(keys_of(Material))
 _FOAM_NUMERICS = ("border", "exchange")
 _SINGLE_FILM_NUMERICS = ("layers", "scheme", "curvature", "gradient")
-_NUMERICS = tuple(f.name for f in fields(Numerics) if f.name not in _FOAM_NUMERICS)
+_NUMERICS = tuple(name for name in keys_of(Numerics) if name not in _FOAM_NUMERICS)
 _SURROUNDINGS = ("pressure", "air", "air_density", "air_drag", "drag")
-_RUN = ("e_count", "l_per_e", "seed", "frames", "fps", "dt")
+_RUN = tuple(keys_of(Scene))
 
 FOAM: Mapping[str, Value] = MappingProxyType(
     {
@@ -331,12 +209,16 @@ class Parameters:
         checked = {name: self._key(name).check(name, value) for name, value in (overrides or {}).items()}
         return Values({**self.defaults, **checked})
 
+    def doubts(self, values: Mapping[str, Value]) -> list[str]:
+        """What is odd about values that are allowed, a line each: a radius of 10 m, a temperature of 25 K."""
+        return [doubt for name, value in values.items() if (doubt := self.keys[name].doubt(name, value))]
+
     def _key(self, name: str) -> Key:
         if name in self.keys:
             return self.keys[name]
         near = difflib.get_close_matches(name, self.keys, n=3)
         hint = f"did you mean {' or '.join(near)}? " if near else ""
-        raise InputError(f"unknown key {name!r}: {hint}this scene has {', '.join(self.keys)}")
+        raise InputError(f"unknown key {name!r}: {hint}`melp-warp scenes NAME` lists what a scene has")
 
 
 def declare(**given: Value | tuple[Value, Key]) -> Parameters:

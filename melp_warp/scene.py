@@ -9,12 +9,16 @@ import numpy as np
 
 from melp_warp.cluster import Cluster
 from melp_warp.errors import require
+from melp_warp.keys import Key, check_numbers, count, positive, quantity
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.shapes import Shape
 
 MOST_STEPS = 100_000
 """Steps that a frame may take."""
+
+MOST_FRAMES = 999_999
+"""Frames after the first: names of files have six digits."""
 
 PointField = Callable[[np.ndarray], np.ndarray]
 """A field given by a function of points: [n, 3] (m) -> [n] or [n, 3], SI."""
@@ -27,9 +31,8 @@ class Scene:
     Attributes:
         name: short name, used in file names and messages.
         shape: the film's geometry, which samples the particles.
-        e_count: number of Eulerian particles wanted (the shape may round it, see `Shape.sample`).
-        l_per_e: Lagrangian particles per Eulerian particle; 0 for an E-only scene, and as which it is taken
-            in a single layer.
+        e_count: as many as are wanted; the shape may round it, see `Shape.sample`.
+        l_per_e: in a single layer it is always taken for 0.
         material: the liquid.
         surroundings: gravity, air, pressure.
         thickness: eta(x) in m; None for `material.thickness` everywhere.
@@ -38,17 +41,15 @@ class Scene:
         waves: shortest waves of the shape and of the fields where they are known, m, by the key that sets them. Fewer
             than five E spacings a wave are refused.
         numerics: discretisation choices.
-        frames: number of frames after the first.
-        fps: frames a second.
-        dt: largest time step, s; None for one set by `numerics.cfl`.
-        seed: seed of everything random.
+        dt: None for a step set by `numerics.cfl`.
         budget: whether the energy budget is kept (`melp_warp.budget`); it changes nothing else.
     """
 
     name: str
     shape: Shape
-    e_count: int
-    l_per_e: int = 0
+    # three supports' worth of the smallest support
+    e_count: int = quantity(count("Eulerian particles", 12, 10_000_000))
+    l_per_e: int = quantity(count("Lagrangian particles per Eulerian particle (0: none)", 0, 1000), 0)
     material: Material = field(default_factory=Material)
     surroundings: Surroundings = field(default_factory=Surroundings)
     thickness: PointField | None = None
@@ -56,22 +57,22 @@ class Scene:
     velocity: PointField | None = None
     waves: Mapping[str, float] = field(default_factory=dict)
     numerics: Numerics = field(default_factory=Numerics)
-    frames: int = 100
-    fps: float = 60.0
-    dt: float | None = None
-    seed: int = 0
+    frames: int = quantity(count("frames after the first", 0, MOST_FRAMES), 100)
+    fps: float = quantity(positive("1/s", "frames per simulated second", 1e6), 60.0)
+    dt: float | None = quantity(
+        Key(
+            "s", "largest time step (auto: set by cfl)", 0.0, 1.0, above=True, auto=True, spoken="ms", usual=(0.0, 0.2)
+        ),
+        None,
+    )
+    seed: int = quantity(count("seed of everything random", 0, 2**31 - 1), 0)
     budget: bool = True
 
     def __post_init__(self):
-        require(isinstance(self.e_count, int) and self.e_count >= 1, "e_count", self.e_count, "a whole number above 0")
-        require(isinstance(self.l_per_e, int) and self.l_per_e >= 0, "l_per_e", self.l_per_e, "a whole number >= 0")
-        require(isinstance(self.frames, int) and self.frames >= 0, "frames", self.frames, "a whole number >= 0")
-        require(np.isfinite(self.fps) and self.fps > 0, "fps", self.fps, "a number above 0")
-        require(self.dt is None or (np.isfinite(self.dt) and self.dt > 0), "dt", self.dt, "a number of seconds above 0")
+        check_numbers(self)
         least = 1.0 / (self.fps * MOST_STEPS)
         allowed = f"at least {least:.3g} s, {MOST_STEPS:,} steps a frame"
         require(self.dt is None or self.dt >= least, "dt", self.dt, allowed)
-        require(isinstance(self.seed, int) and self.seed >= 0, "seed", self.seed, "a whole number >= 0")
         if self.numerics.layers == 1:
             object.__setattr__(self, "l_per_e", 0)
         closed = self.shape.closed

@@ -168,6 +168,15 @@ def test_export_of_a_scene_without_l(tmp_path, capsys):
     assert not (tmp_path / "l").exists()
 
 
+def test_what_is_odd_is_said_before_the_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(runner, "run", lambda plan: 0)
+    assert run("giant_bubble", "--set", "radius=10", "displacement=1") == 0
+    assert capsys.readouterr().err.startswith("melp-warp: warning: radius=10: 10 m is unusual for the radius")
+    assert run("giant_bubble", "--quiet", "--set", "radius=10", "displacement=1") == 0
+    assert run("giant_bubble", "--dt", "2ms", "--set", "radius=10cm", "thickness=400nm") == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_options_reach_the_scene(tmp_path, solver, monkeypatch):
     seen = []
     monkeypatch.setattr(runner, "run", lambda plan: seen.append(plan) or 0)
@@ -213,22 +222,22 @@ def test_picked_frames_span_the_run():
         (["run", "giant_buble"], ["unknown scene 'giant_buble'", "did you mean giant_bubble", "drainage"]),
         (["run", "missing.py"], ["unknown scene 'missing.py'", "no such file"]),
         (["run", "drainage", "--device", "tpu"], ["--device", "cpu", "'tpu'"]),
-        (["run", "drainage", "--set", "radios=1"], ["unknown key 'radios'", "width"]),
+        (["run", "drainage", "--set", "radios=1"], ["unknown key 'radios'", "melp-warp scenes NAME"]),
         (["run", "drainage", "--set", "radius=1"], ["unknown key 'radius'"]),
         (["run", "drainage", "--set", "width"], ["--set must be key=value", "'width'"]),
         (["run", "drainage", "--set", "width=wide"], ["width must be a number from 0.0001 to 100 m", "'wide'"]),
         (["run", "drainage", "--set", "width=nan"], ["width must be", "nan"]),
-        (["run", "giant_bubble", "--set", "radius=0"], ["radius must be", "from 0.0001", "0.0"]),
+        (["run", "giant_bubble", "--set", "radius=0"], ["radius must be", "from 0.0001", "got 0"]),
         (["run", "giant_bubble", "--set", "radius=-0.1"], ["radius must be", "from 0.0001", "-0.1"]),
-        (["run", "giant_bubble", "--set", "thickness=-1e-9"], ["thickness must be", "from 1e-09", "-1e-09"]),
-        (["run", "giant_bubble", "--set", "thickness=0"], ["thickness must be", "from 1e-09", "0.0"]),
+        (["run", "giant_bubble", "--set", "thickness=-1e-9"], ["thickness must be", "from 1e-09", "got -1e-9"]),
+        (["run", "giant_bubble", "--set", "thickness=0"], ["thickness must be", "from 1e-09", "got 0"]),
         (["run", "giant_bubble", "--set", "e_count=-3"], ["e_count must be a whole number from 1", "-3"]),
         (["run", "giant_bubble", "--set", "e_count=1.5"], ["e_count must be a whole number", "1.5"]),
         (["run", "giant_bubble", "--set", "displacement=9"], ["displacement must be", "every radius is above 0"]),
         (["run", "taylor_vortices", "--set", "separation=5"], ["separation must be below width = 4 m", "5.0"]),
         (["run", "giant_bubble", "--set", "surfactant=1e-4"], ["surfactant must be", "below tension/(R T)"]),
         (["run", "giant_bubble", "--frames", "many"], ["frames must be a whole number", "'many'"]),
-        (["run", "giant_bubble", "--frames", "-1"], ["frames must be a whole number from 0", "-1"]),
+        (["run", "giant_bubble", "--frames", "-1"], ["frames must be a whole number from 0 to 999999, got -1"]),
         (["run", "giant_bubble", "--fps", "0"], ["fps must be", "above 0"]),
         (["run", "giant_bubble", "--dt", "inf"], ["dt must be", "inf"]),
         (["run", "giant_bubble", "--cfl", "-1"], ["cfl must be", "0.01", "-1"]),
