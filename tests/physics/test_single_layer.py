@@ -117,7 +117,7 @@ def test_refused():
     shape = Cluster((Bubble((0.0, 0.0, 0.0), 0.05), Bubble((0.1, 0.0, 0.0), 0.05)))
     with pytest.raises(InputError, match="layers must be 2 for a foam, got 1"):
         Scene("foam", shape, 1000, numerics=Numerics(layers=1))
-    with pytest.raises(InputError, match="layers must be 1 or 2, got 3"):
+    with pytest.raises(InputError, match="layers must be a whole number from 1 to 2, got 3"):
         Numerics(layers=3)
     with pytest.raises(InputError, match="gradient must be one of difference, symmetric"):
         Numerics(gradient="upwind")
