@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,7 @@ import warp as wp
 
 from melp_warp.film import Film
 from melp_warp.kernels import budget as kb
-from melp_warp.launch import clear, copy, launch
+from melp_warp.launch import launch
 from melp_warp.notices import Notices
 from melp_warp.state import State
 
@@ -112,7 +112,7 @@ class Budget:
     """Sums of the energy terms on the device. Made only where the scene wants a budget.
 
     Attributes:
-        part: [parts, SLOTS] of the step in progress.
+        part: [parts, SLOTS] of the step in progress; as the next one, the state's.
         book: [4, SLOTS] what the steps add up to, see `kernels.budget.settle_step`.
     """
 
@@ -120,16 +120,12 @@ class Budget:
         self.film, self.state = film, state
         self._stages = weakref.proxy(stepper)  # which owns this
         f = film.features
-        parts = film.parts().shape[0]
-        self.part = wp.zeros((parts, kb.SLOTS), dtype=wp.float64, device=film.device)
-        self._lying = wp.zeros((parts, 8), dtype=wp.float64, device=film.device)
-        self.book = wp.zeros((4, kb.SLOTS), dtype=wp.float64, device=film.device)
+        memory = state.memory
+        self.part, self._lying, self.book = memory.part, memory.lying, memory.book
         self.before = film.zeros(film.n_e, wp.vec3)
         self._no_air = film.zeros(film.regions)
         self._whole = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
         self._bending = film.zeros(film.n_e) if f.moving and not f.foam else None
-        self._evolving = (self.part, self._lying, self.book)
-        self._saved = [wp.clone(a) for a in self._evolving]
 
     def open_step(self) -> None:
         """Note what is stored, once E hold what L carry, and settle the step before."""
@@ -222,28 +218,6 @@ class Budget:
         step[[kb.OFFSETS, kb.STARTED, kb.ENDED]] = 0.0  # counted, or on the way
         return _sums(step)
 
-    def restart(self) -> None:
-        """Forget all steps."""
-        for array in self._evolving:
-            clear(array)
-        self.save()
-
-    def save(self) -> None:
-        """Keep the sums as they are after a good frame."""
-        for kept, own in zip(self._saved, self._evolving, strict=True):
-            copy(kept, own)
-
-    def restore(self) -> None:
-        """Put them back."""
-        for kept, own in zip(self._saved, self._evolving, strict=True):
-            copy(own, kept)
-
-    def take(self, other: Budget) -> None:
-        """Go on with the sums of another one, of a film with as many regions."""
-        for mine, theirs in ((self._evolving, other._evolving), (self._saved, other._saved)):
-            for own, old in zip(mine, theirs, strict=True):
-                copy(own, old)
-
 
 def _sums(slots: np.ndarray) -> dict[str, float]:
     """Terms from the sums of the slots, J."""
@@ -255,40 +229,57 @@ def _of(kind: str) -> list[str]:
     return [t.name for t in TERMS if t.kind == kind]
 
 
+def _no_flows() -> dict[str, float]:
+    """All flows by name, none yet, J."""
+    return dict.fromkeys((t.name for t in TERMS if t.kind != STORE), 0.0)
+
+
 def _spent(flows: Mapping[str, float]) -> float:
     """What left the stores, J."""
     out = sum(flows[name] for kind in (DISSIPATION, LOSS) for name in _of(kind))
     return out - sum(flows[name] for name in _of(WORK))
 
 
+@dataclass
 class Ledger:
-    """The budget of a run, frame by frame, over changes of regions too.
+    """The budget of a run, frame by frame, over changes of regions too: plain numbers, a part of the state.
 
     Attributes:
+        whole: whether all terms are known. The energy of the air around a single film and that of contact in a foam
+            are not yet: the rest says nothing there.
         time: that of the last reading, s.
         stores: name -> J.
         flows: name -> J since the start.
         rest: what the stores hold more than the flows explain, J.
         moved: largest of kinetic energy and what has been dissipated and lost so far, J: the rest is measured by it.
-
-    Args:
-        whole: whether all terms are known. The energy of the air around a single film and that of contact in a foam
-            are not yet: the rest says nothing there.
+        start: stores at the start, name -> J; empty before the first step.
+        height: energy of the liquid's height at the start of the run, or where its regions changed last, J.
+        past: flows of the budgets before, up to the last change of regions, J.
+        pushed: [3] impulse of outside forces up to then, kg m/s.
+        impulse: [3] the same up to now, kg m/s.
+        owed: what is stored by the flows up to a change of regions, J; None where that is booked.
+        liquid: at the start, kg.
+        surfactant: at the start, mol.
+        momentum: [3] at the start, kg m/s; empty before.
+        balance: what has changed since the start.
     """
 
-    def __init__(self, whole: bool = True):
-        self.whole = whole
-        self.time = 0.0
-        self.stores: dict[str, float] = {}
-        self.flows = dict.fromkeys((t.name for t in TERMS if t.kind != STORE), 0.0)
-        self.rest, self.moved = 0.0, 0.0
-        self._first: Reading | None = None  # where the liquid was when the run started
-        self._past = dict(self.flows)  # of the budgets before
-        self._pushed, self._impulse = np.zeros(3), np.zeros(3)
-        self._start: dict[str, float] = {}
-        self._owed: float | None = None  # what is stored by the flows up to a change of regions
-        self._height = 0.0
-        self._balance: dict[str, object] = {}
+    whole: bool = True
+    time: float = 0.0
+    stores: dict[str, float] = field(default_factory=dict)
+    flows: dict[str, float] = field(default_factory=_no_flows)
+    rest: float = 0.0
+    moved: float = 0.0
+    start: dict[str, float] = field(default_factory=dict)
+    height: float = 0.0
+    past: dict[str, float] = field(default_factory=_no_flows)
+    pushed: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    impulse: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    owed: float | None = None
+    liquid: float = 0.0
+    surfactant: float = 0.0
+    momentum: list[float] = field(default_factory=list)
+    balance: dict[str, float | list[float]] = field(default_factory=dict)
 
     @property
     def share(self) -> float:
@@ -298,30 +289,31 @@ class Ledger:
 
     def open(self, reading: Reading) -> None:
         """Take the place of the liquid at the start of a run, or of one that goes on with other regions."""
-        self._first = self._first or reading
-        self._height = reading.height
+        if not self.momentum:
+            self.liquid, self.surfactant = reading.liquid, reading.surfactant
+            self.momentum = reading.momentum.tolist()
+        self.height = reading.height
 
     def take(self, reading: Reading, time: float) -> None:
         """Go on to a reading at `time` (s)."""
         if reading.fresh:
             return
-        if not self._start:
-            self._start = self._stores(reading.opened, self._height)
-        if self._owed is not None:
-            opened = sum(self._stores(reading.opened, self._height).values())
-            self._past["events"] += self._owed - opened
-            self._owed = None
+        if not self.start:
+            self.start = self._stores(reading.opened, self.height)
+        if self.owed is not None:
+            opened = sum(self._stores(reading.opened, self.height).values())
+            self.past["events"] += self.owed - opened
+            self.owed = None
         self.time, self.stores = time, self._stores(reading.stored, reading.height)
-        self.flows = {name: past + reading.flows[name] for name, past in self._past.items()}
-        self._impulse = self._pushed + reading.impulse
-        self.rest = sum(self.stores.values()) - sum(self._start.values()) + _spent(self.flows)
+        self.flows = {name: past + reading.flows[name] for name, past in self.past.items()}
+        self.impulse = (np.array(self.pushed) + reading.impulse).tolist()
+        self.rest = sum(self.stores.values()) - sum(self.start.values()) + _spent(self.flows)
         spent = sum(self.flows[name] for kind in (DISSIPATION, LOSS) for name in _of(kind))
         self.moved = max(self.moved, self.stores["kinetic"] + self.stores["air"] + spent)
-        first = self._first
-        self._balance = {
-            "liquid": reading.liquid / first.liquid - 1.0,
-            "surfactant": reading.surfactant / first.surfactant - 1.0 if first.surfactant > 0.0 else 0.0,
-            "momentum": (reading.momentum - first.momentum - self._impulse).tolist(),
+        self.balance = {
+            "liquid": reading.liquid / self.liquid - 1.0,
+            "surfactant": reading.surfactant / self.surfactant - 1.0 if self.surfactant > 0.0 else 0.0,
+            "momentum": (reading.momentum - np.array(self.momentum) - np.array(self.impulse)).tolist(),
         }
 
     def cut(self, reading: Reading, pending: Mapping[str, float]) -> None:
@@ -329,9 +321,9 @@ class Ledger:
         if reading.fresh:
             return
         self.take(reading, self.time)
-        self._past = {name: self.flows[name] + pending[name] for name in self.flows}
-        self._pushed = self._impulse
-        self._owed = sum(self.stores.values()) - _spent(pending)
+        self.past = {name: self.flows[name] + pending[name] for name in self.flows}
+        self.pushed = list(self.impulse)
+        self.owed = sum(self.stores.values()) - _spent(pending)
 
     def remark(self, notices: Notices) -> None:
         """Note a rest that is too large."""
@@ -350,14 +342,14 @@ class Ledger:
         flows = {kind: {name: self.flows[name] for name in _of(kind)} for kind in KINDS if kind != STORE}
         return {
             "time": self.time,
-            "start": dict(self._start),
+            "start": dict(self.start),
             STORE: dict(self.stores),
             **flows,
             "rest": self.rest,
             "moved": self.moved,
             "share": self.share,
             "whole": self.whole,
-            "balance": dict(self._balance),
+            "balance": dict(self.balance),
         }
 
     def _stores(self, sums: Mapping[str, float], height: float) -> dict[str, float]:

@@ -13,6 +13,7 @@ from melp_warp.surgery import Stored, add_region, merge_regions, pop_region
 
 if TYPE_CHECKING:
     from melp_warp.simulation import Simulation
+    from melp_warp.state import Course, State
 
 BORDER_COVER = 0.3
 """Where two regions merge, the film between them goes down to this cover, borders and all, so that the hole heals."""
@@ -25,37 +26,28 @@ CLEARANCE = 1.0
 
 
 class Events:
-    """The scripted and the caused changes of one run.
-
-    Attributes:
-        pending: events to come, in order of time.
-        unborn: numbers of the bubbles to come, in order of time.
-    """
+    """The scripted and the caused changes of one run; what is still to come is in the state, see `Course`."""
 
     def __init__(self, cluster: Cluster):
         self.cluster = cluster
-        self.pending: list[Event] = sorted(cluster.events, key=lambda event: event.time)
-        late = [k for k, b in enumerate(cluster.bubbles) if b.born > 0.0]
-        self.unborn = sorted(late, key=lambda k: cluster.bubbles[k].born)
+        self._scripted: list[Event] = sorted(cluster.events, key=lambda event: event.time)
         self._popping = [wall for wall in cluster.walls if wall.pops]
 
-    def skip(self, time: float, unborn: list[int]) -> None:
-        """Forget what happened up to `time` (s), with these bubbles still to come."""
-        self.pending = [event for event in self.pending if event.time > time + 1e-12]
-        self.unborn = list(unborn)
+    def begin(self, course: Course) -> None:
+        """Let all of it come."""
+        late = [k for k, b in enumerate(self.cluster.bubbles) if b.born > 0.0]
+        course.pending = len(self._scripted)
+        course.unborn = sorted(late, key=lambda k: self.cluster.bubbles[k].born)
 
-    def mark(self) -> tuple[list[Event], list[int]]:
-        """What is to come, to go `back` to."""
-        return list(self.pending), list(self.unborn)
+    def pending(self, course: Course) -> list[Event]:
+        """Scripted events to come, in order of time."""
+        return self._scripted[len(self._scripted) - course.pending :]
 
-    def back(self, mark: tuple[list[Event], list[int]]) -> None:
-        """Let come again what was to come when `mark` was taken."""
-        self.pending, self.unborn = (list(one) for one in mark)
-
-    def following(self, time: float) -> float | None:
+    def following(self, state: State) -> float | None:
         """Time of the next change that is not due yet, s; None for none."""
-        times = [event.time for event in self.pending[:1]]
-        times += [self.cluster.bubbles[k].born for k in self.unborn if self.cluster.bubbles[k].born > time][:1]
+        course, time = state.course, state.time
+        times = [event.time for event in self.pending(course)[:1]]
+        times += [self.cluster.bubbles[k].born for k in course.unborn if self.cluster.bubbles[k].born > time][:1]
         later = [t for t in times if t > time + 1e-12]
         return min(later, default=None)
 
@@ -65,16 +57,18 @@ class Events:
         One at a time: what a film is shared with is to be found anew before the next.
         """
         time = simulation.time + 1e-12
-        while self.pending and self.pending[0].time <= time:
-            change = self._scripted(self.pending.pop(0), simulation)
+        course = simulation.state.course
+        while (pending := self.pending(course)) and pending[0].time <= time:
+            course.pending -= 1
+            change = self._carry_out(pending[0], simulation)
             if change is not None:
                 return change
-        if not self._popping and not self.unborn:
+        if not self._popping and not course.unborn:
             return None
         x = simulation.state.e.x.numpy() + simulation.state.origin
         return self._at_walls(x, simulation) or self._birth(x, time, simulation)
 
-    def _scripted(self, event: Event, simulation: Simulation) -> Callable[[Stored], None] | None:
+    def _carry_out(self, event: Event, simulation: Simulation) -> Callable[[Stored], None] | None:
         """What an event changes; None, with a notice, where there is nothing to change."""
         labels = simulation.film.labels
         missing = [region for region in event.regions if region not in labels]
@@ -91,7 +85,7 @@ class Events:
     def _miss(self, event: Event, why: str, simulation: Simulation) -> None:
         """Note that an event changes nothing."""
         what = f"{type(event).__name__} of {' and '.join(map(str, event.regions))} at {event.time:g} s"
-        coming = [region for region in event.regions if region in self.unborn]
+        coming = [region for region in event.regions if region in simulation.state.course.unborn]
         more = f": bubble {coming[0]} is still to come" if coming else ""
         simulation.notices.note("event without effect", 1.0, f"{what} changes nothing, as {why}{more}")
 
@@ -109,13 +103,14 @@ class Events:
 
     def _birth(self, x: np.ndarray, time: float, simulation: Simulation) -> Callable[[Stored], None] | None:
         """The first bubble whose time has come and whose place is free."""
-        for label in self.unborn:
+        unborn = simulation.state.course.unborn
+        for label in unborn:
             bubble = self.cluster.bubbles[label]
             if bubble.born > time:
                 return None
             room = np.linalg.norm(x - np.array(bubble.centre), axis=1)
             if room.min(initial=np.inf) > bubble.radius + CLEARANCE * simulation.film.spacing:
-                self.unborn.remove(label)
+                unborn.remove(label)
                 particles, gauge = self._new_bubble(label, simulation)
                 return lambda stored: add_region(stored, label, particles, gauge)
         return None

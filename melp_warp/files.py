@@ -128,7 +128,7 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str, kind: st
         version = np.lib.format.read_magic(file)
         read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
         shape, fortran, dtype = read(file)
-        if dtype.kind.replace("u", "i") != kind or dtype.itemsize not in (4, 8) or len(shape) != ndim or fortran:
+        if dtype.kind.replace("u", "i") != kind or dtype.itemsize not in (1, 4, 8) or len(shape) != ndim or fortran:
             raise InputError(f"{name} must have {ndim} dimensions of kind {kind!r}, it has {shape} of {dtype}")
         size = dtype.itemsize
         for length in shape:  # Python's whole numbers do not overflow

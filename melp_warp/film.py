@@ -19,23 +19,30 @@ CONTACT_REACH = 2.5
 THICKEST = 1e-3
 """Thickness beyond which water is no film, m: scenes do not start with it, and runs that come to it say so."""
 
+ROOM = 1.4
+"""Room of a neighbour list's row over the longest one when the list is made."""
+
 CHUNKS = 64
 """Number of parts in which the sums over a single region are taken; more regions share them, at least four each."""
 
 
-@dataclass
+def count_parts(regions: int) -> int:
+    """Number of parts in which sums over particles are taken."""
+    return regions * max(4, CHUNKS // regions) if regions else 0
+
+
+@dataclass(frozen=True)
 class RimArrays:
-    """Boundary particles on the device; see `melp_warp.shapes.Rim`."""
+    """What boundary particles are held by, on the device; see `melp_warp.shapes.Rim`."""
 
     anchors: wp.array
     outward: wp.array
-    mirror: wp.array
     curvature: wp.array
 
 
-@dataclass
+@dataclass(frozen=True)
 class Film:
-    """A film's constants, fixed for a run.
+    """A film's constants, fixed until its regions change or its lists get more room.
 
     Attributes:
         spacing: mean E spacing dx, m.
@@ -67,7 +74,7 @@ class Film:
     walls: tuple[Wall, ...] = ()
     rim: RimArrays | None = None
     radius: float = float("inf")
-    room: float = 1.4
+    room: float = ROOM
 
     @property
     def total(self) -> int:
@@ -111,7 +118,7 @@ class Film:
 
     def parts(self, dtype=wp.float32) -> wp.array:
         """Room for the parts of a sum."""
-        return self.zeros(self.regions * max(4, CHUNKS // self.regions), dtype)
+        return self.zeros(count_parts(self.regions), dtype)
 
     def launch_e(self, kernel, inputs, outputs=()) -> None:
         """One thread an E; kernels over neighbours are shared by CPU cores."""

@@ -81,21 +81,21 @@ class Exchange:
     def __init__(self, film: Film, state: State, lists: NeighborLists, fields: Fields):
         self.film, self.state, self.lists, self.fields = film, state, lists, fields
         self._number = wp.array(np.arange(film.n_l, dtype=np.int32), device=film.device)
-        self._last = state.time
         self.due, self._seed, self._chance = False, Setting(film.device, wp.int32), Setting(film.device)
 
     def prepare(self, dt: float) -> None:
         """Set whether and how many L cross before a step of dt (s)."""
-        film, end = self.film, self.state.time + dt
-        self.due = end - self._last > EXCHANGE_INTERVAL
+        film, course, end = self.film, self.state.course, self.state.time + dt
+        self.due = end - course.crossed > EXCHANGE_INTERVAL
         if self.due:
-            self._chance.at(-math.expm1(-film.numerics.exchange * (end - self._last)))
-            self._last = end
+            self._chance.at(-math.expm1(-film.numerics.exchange * (end - course.crossed)))
+            course.crossed = end
             self._seed.at(film.seed + round(240.0 * end))
 
     def apply(self, dt: wp.array) -> None:
         """Let L cross; lists between E and L are to be rebuilt afterwards."""
         film, e, lag = self.film, self.state.e, self.state.l
+        self.fields.update()
         film.launch_l(
             kx.exchange_l,
             [
@@ -132,8 +132,9 @@ class FoamMembrane:
         self.fields, self.forces = fields, forces
         n = film.n_e
         self.contact = make_contact(film)
-        self.cover, self._faced, self._free = film.zeros(n), film.zeros(n), film.zeros(n)
-        self.predicted, self.force, self._rest, self._foot, self._sought = (film.zeros(n, wp.vec3) for _ in range(5))
+        memory = state.memory
+        self.cover, self._faced, self._free = memory.cover, film.zeros(n), film.zeros(n)
+        self.predicted, self.force, self._rest, self._foot = (film.zeros(n, wp.vec3) for _ in range(4))
         self._braked = film.zeros(n, wp.vec2)
         self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start, self.frame, self.passed = (film.zeros(film.regions, wp.vec3) for _ in range(3))
@@ -145,8 +146,8 @@ class FoamMembrane:
         self._fall, self._missing, self._recoil, self.found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
         self._balance, self._drift, self._pull = (film.zeros(film.regions, wp.vec3) for _ in range(3))
         self._held, self._weight = film.zeros(film.regions), film.parts(wp.vec4)
-        self._owed = film.zeros(film.regions, wp.vec4)
-        self._spin, self._place = film.zeros(film.regions, wp.vec3), film.zeros(film.regions, wp.vec3)
+        self._sought, self._owed, self._spin = memory.sought, memory.owed, memory.spin
+        self._place = film.zeros(film.regions, wp.vec3)
         self._alone = wp.array(np.arange(film.regions, dtype=np.int32), device=film.device)
         self._cluster, self._joined = (film.zeros(film.regions, wp.int32) for _ in range(2))
         self._stride = CORNERS + int(CONTACT_ROOM * film.room)
@@ -167,12 +168,19 @@ class FoamMembrane:
         self._swept = film.parts(wp.float64)
         self._near = wp.zeros((self._touch.shape[0], film.regions), dtype=wp.int32, device=film.device)
         self._crossing = 0.0
-        self._fresh, self._share, self._paid, self._last = True, Setting(film.device), Setting(film.device), 0.0
+        self._share, self._paid = Setting(film.device), Setting(film.device)
+        self._find_sizes()
 
     def start_motion(self) -> None:
         """Take the air's mass from the volumes and the translations from the velocities, at the start of a run."""
+        self.state.memory.volume.assign(self.state.gas.numpy()[:, 0])
+        self._find_sizes()
+        self._find_motion(self.state.motion)
+
+    def _find_sizes(self) -> None:
+        """Set what follows from the volumes that the regions had when they were set up."""
         film = self.film
-        volume = np.maximum(self.state.gas.numpy()[:, 0], 0.0)
+        volume = np.maximum(self.state.memory.volume.numpy(), 0.0)
         radius = np.maximum(np.cbrt(3.0 * volume / (4.0 * np.pi)), 1e-3 * film.spacing)
         # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.054 r^2
         self.bent.assign(np.maximum(BENT, CAP * 0.054 * (film.r / radius) ** 2))
@@ -182,7 +190,6 @@ class FoamMembrane:
         self.contact.lag = film.spacing * math.sqrt(inertia / self.contact.cling)
         lightest = film.material.areal_mass + float(self.added.numpy().min())
         self._crossing = film.spacing * math.sqrt(lightest / self.contact.cling)
-        self._find_motion(self.state.motion)
 
     @property
     def solvers(self) -> tuple[GasConjugateGradient, ...]:
@@ -200,10 +207,11 @@ class FoamMembrane:
 
     def prepare(self, dt: float) -> None:
         """Set the share of what is passed on late that is passed on in a step of dt (s); all of it in the first."""
-        self._paid.at(self._last)
-        self._last = 1.0 if self._fresh else -math.expm1(-dt / (PATIENCE * self.contact.lag))
-        self._share.at(self._last)
-        self._fresh = False
+        course = self.state.course
+        self._paid.at(course.paid)
+        course.paid = 1.0 if course.fresh else -math.expm1(-dt / (PATIENCE * self.contact.lag))
+        self._share.at(course.paid)
+        course.fresh = False
 
     def find_contacts(self, x: wp.array) -> None:
         """What is covered by other regions and walls with E at x."""

@@ -18,9 +18,10 @@ from melp_warp.material import Surroundings
 from melp_warp.measure import Measurement, measure
 from melp_warp.numerics import Numerics
 from melp_warp.parameters import FOAM
-from melp_warp.sampling import resume
+from melp_warp.sampling import set_up_foam
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
+from melp_warp.surgery import Stored
 
 RADIUS = 0.05
 """m, as in Table 3 of the paper."""
@@ -241,7 +242,7 @@ def static_double_bubble(e_per_bubble: int = 1000, angle: float = PLATEAU, radiu
     points, normals = _rounded_cap(radius, math.radians(angle), simulation.scene.numerics.border * spacing, spacing)
     mirror = np.array([-1.0, 1.0, 1.0])
     stored = _stored(simulation, [(points, normals), (points * mirror, normals * mirror)])
-    _, stepper = resume(scene, stored, (0, 1), spacing, simulation.device)
+    _, stepper = set_up_foam(scene, stored, simulation.state, simulation.film)
     membrane, e = stepper.membrane, stepper.state.e
     dt = 1.0 / 240.0
     membrane.solve(stepper.prepare(dt))
@@ -285,9 +286,10 @@ def _rounded_cap(radius: float, angle: float, fillet: float, spacing: float) -> 
     return np.concatenate(points), np.concatenate(normals)
 
 
-def _stored(simulation: Simulation, regions: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
+def _stored(simulation: Simulation, regions: list[tuple[np.ndarray, np.ndarray]]) -> Stored:
     """A state at rest with the gas pressure of spheres, E on the given surfaces."""
-    stored = simulation.state.numpy()
+    foam = Stored.of(simulation.state)
+    stored = foam.arrays
     count = [len(points) for points, _ in regions]
     total = sum(count)
     for name in list(stored):
@@ -300,7 +302,8 @@ def _stored(simulation: Simulation, regions: list[tuple[np.ndarray, np.ndarray]]
     stored["e.mass"][:] = material.areal_mass * film.spacing**2
     stored["e.surfactant"][:] = material.surfactant * film.spacing**2
     stored["gas"][:, 2] = 0.0
-    return stored
+    foam.ids["e"] = np.arange(total)
+    return foam
 
 
 def balancing_angle(e_per_bubble: int = 1000) -> dict:

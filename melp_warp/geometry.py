@@ -66,19 +66,19 @@ class Geometry:
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
-        self.star, self._found, self.tie, self.vector, self.share, self._before = Neighbors(), *5 * (None,)
+        self.star, self._found, self.tie, self.vector, self.share = Neighbors(), *4 * (None,)
         if film.features.foam:
-            self._before = film.zeros(state.e.normal.shape[0], wp.vec3)
             self.star = fixed_rows(film.n_e, CORNERS, film.device)
             self._found, self.tie = (film.zeros(film.n_e * CORNERS) for _ in range(2))
             self.vector, self.share = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
 
     def update(self) -> None:
         """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
-        film, e, rows = self.film, self.state.e, self.lists.ee.rows
-        if self._before:
-            copy(self._before, e.normal)
-        film.launch_e(kg.orient_frames_e, [e.x, self._before, rows, film.r], [e.normal])
+        film, e, rows, memory = self.film, self.state.e, self.lists.ee.rows, self.state.memory
+        copy(memory.place, e.x)
+        copy(memory.facing, e.normal)
+        before = memory.facing if film.features.foam else None
+        film.launch_e(kg.orient_frames_e, [e.x, before, rows, film.r], [e.normal])
         film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.surface, self.kappa, self.gradient])
         if film.features.closed:
             film.launch_e(kg.sharpen_normal_e, [self.kappa, rows, self.gradient, film.n_e, film.r], [e.normal])
@@ -97,8 +97,21 @@ class Geometry:
             film.launch_e(kf.pair_star_e, [self.star, self._found], [self.tie])
             film.launch_e(kf.star_vector_e, [e.x, self.star], [self.vector, self.share])
 
+    def again(self) -> None:
+        """What the last `update` found, from where E were then; the state stays as it is."""
+        e, gas, memory = self.state.e, self.state.gas, self.state.memory
+        kept = [(array, wp.clone(array)) for array in (e.x, e.normal, gas)]
+        copy(e.x, memory.place)
+        copy(e.normal, memory.facing)
+        self.update()
+        if memory.area is not None:
+            self.set_area(memory.area)
+        for array, values in kept:
+            copy(array, values)
+
     def set_area(self, area: wp.array) -> None:
         """Take control areas found otherwise, for a film whose E stay where they are."""
+        copy(self.state.memory.area, area)
         copy(self.area, area)
         copy(self.cell, area)
         self._weigh_pairs()

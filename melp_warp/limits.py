@@ -318,7 +318,7 @@ def duplicated(simulation: Simulation) -> None:
         x = array.numpy()
         x[10:20:2] = x[11:21:2]
         array.assign(x)
-    simulation.renew()
+    simulation.rebuild(moved=True)
 
 
 def collinear(simulation: Simulation) -> None:
@@ -328,7 +328,7 @@ def collinear(simulation: Simulation) -> None:
     near = np.linalg.norm(x - pole, axis=1) < 3.0 * simulation.film.spacing
     x[near, 2] = pole[2]
     simulation.state.e.x.assign(x)
-    simulation.renew()
+    simulation.rebuild(moved=True)
 
 
 def stray(share: float) -> Callable[[Simulation], None]:
@@ -339,7 +339,7 @@ def stray(share: float) -> Callable[[Simulation], None]:
         count = max(1, round(share * len(x)))
         x[:count] *= 10.0
         simulation.state.l.x.assign(x)
-        simulation.renew()
+        simulation.rebuild(moved=True)
 
     return touch
 

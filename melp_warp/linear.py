@@ -168,6 +168,7 @@ class ConjugateGradient(_Solver):
         max_iterations: stop after this many, None for `most_iterations`; Jacobi sweeps come in pairs.
         jacobi: relaxation factor omega of Appendix B; None for conjugate gradients.
         of_change: stop where the residual is below `tolerance` of the first one: for a solve that changes x by little.
+        x: array for the solution; None for one of its own.
 
     Attributes:
         b: [n] right-hand side, filled by the owner.
@@ -175,7 +176,15 @@ class ConjugateGradient(_Solver):
     """
 
     def __init__(
-        self, operator, total, dtype, tolerance, max_iterations, jacobi: float | None = None, of_change: bool = False
+        self,
+        operator,
+        total,
+        dtype,
+        tolerance,
+        max_iterations,
+        jacobi: float | None = None,
+        of_change: bool = False,
+        x: wp.array | None = None,
     ):
         stride = 1 if jacobi is None else 2
         super().__init__(operator.n, tolerance, max_iterations, operator.device, stride, dtype)
@@ -184,7 +193,7 @@ class ConjugateGradient(_Solver):
         self.change = CHANGE if of_change else 0.0
         self.b, self.r, self.z, self.q = (wp.zeros(self.n, dtype=dtype, device=self.device) for _ in range(4))
         self.p = wp.zeros(total, dtype=dtype, device=self.device)
-        self.x = wp.zeros(total, dtype=dtype, device=self.device)
+        self.x = wp.zeros(total, dtype=dtype, device=self.device) if x is None else x
         self.inverse = wp.zeros(self.n, dtype=wp.float32, device=self.device)
 
     def _body(self):

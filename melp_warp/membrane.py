@@ -59,8 +59,8 @@ class FilmResponse:
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
         numerics = film.numerics
         self.load, self.unit = (
-            ConjugateGradient(operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations)
-            for _ in range(2)
+            ConjugateGradient(operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations, x=guess)
+            for guess in (state.memory.load, state.memory.unit)
         )
         self.solvers = (self.load, self.unit)
         self.diag, self._operator = operator.diag, operator

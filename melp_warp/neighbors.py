@@ -11,8 +11,7 @@ from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import homes as kh
 from melp_warp.kernels import neighbors as kn
 from melp_warp.kernels.rows import Blocks
-from melp_warp.launch import launch, sort_pairs
-from melp_warp.settings import Reading
+from melp_warp.launch import copy, launch, sort_pairs
 from melp_warp.state import State
 
 GRID_CELLS = 64
@@ -124,7 +123,7 @@ class HomeList(NeighborList):
     def __init__(self, grid: wp.HashGrid, film: Film, state: State, wide: NeighborList, reach: float, margin: float):
         self.home, self.margin, self._wide, self._n_e = film.zeros(film.n_l, wp.int32), margin, wide, film.n_e
         regions = (state.l.region, state.e.region) if film.features.foam else None
-        super().__init__(grid, state.l.x, film.n_l, state.e.x, reach, kn.ALL, regions, times=film.room)
+        super().__init__(grid, state.memory.x_l, film.n_l, state.memory.x_e, reach, kn.ALL, regions, times=film.room)
 
     def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
         """Fill the list and find the homes anew."""
@@ -158,18 +157,17 @@ class BlockList:
         self.blocks = Blocks()
         self.blocks.start, self.blocks.reach = film.zeros(film.n_e + 2, wp.int32), film.zeros(film.n_e)
         self.blocks.region = film.zeros(film.n_l + 7, wp.int32)  # read by eights
-        self.build()
 
-    def build(self) -> None:
-        """Sort the L by their present homes."""
+    def build(self, x_e: wp.array, x_l: wp.array) -> None:
+        """Sort the L by their present homes, E and L at these places."""
         film, le = self.film, self._le
-        x_e, lag = self.state.e.x, self.state.l
-        launch(kh.key_l, film.n_l, [lag.x, x_e, le.home, le.margin, film.n_e], [self._key, self._order], film.device)
+        lag = self.state.l
+        launch(kh.key_l, film.n_l, [x_l, x_e, le.home, le.margin, film.n_e], [self._key, self._order], film.device)
         sort_pairs(self._key, self._order, film.n_l)
         outputs = [self.blocks.start, self.place, self.blocks.region]
         launch(kh.start_blocks_l, film.n_l, [self._key, self._order, lag.region, film.n_l], outputs, film.device)
         skin = film.numerics.skin * film.spacing
-        found = [x_e, lag.x, self._order, self.blocks.start, skin]
+        found = [x_e, x_l, self._order, self.blocks.start, skin]
         film.launch_e(kh.measure_blocks_e, found, [self.blocks.reach])
 
 
@@ -198,82 +196,126 @@ class NeighborLists:
         self.skin = film.numerics.skin * film.spacing
         self.reach = film.r + self.skin
         self.mirror_reach = 2.0 * film.spacing
-        x = state.e.x
         self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device)
-        self._grid.build(x, self.reach)
-        of_e = state.e.region
-        several = film.features.foam
-        of_both, room = ((of_e, of_e), CROWD_ROOM) if several else (None, 8)
-        times = film.room
-        self.ee = NeighborList(self._grid, x, film.n_e, x, self.reach, kn.SAME, of_both, room, times)
         self.wide = self.le = self.el = self.be = self.eo = None
-        if several:
-            reach = film.contact_reach + self.skin
-            self.eo = NeighborList(self._grid, x, film.n_e, x, reach, kn.OTHER, of_both, FACING_ROOM, times)
+        fresh = state.fresh
+        if fresh:
+            self._remember_e()
+        self._make_e()
         if state.l is not None:
-            margin = HOME_MARGIN * film.spacing
-            wide = self.reach + self.skin + margin  # two E may have come closer by a skin since it was made
-            self.wide = NeighborList(self._grid, x, film.n_e, x, wide, kn.SAME, of_both, room, times)
-            self._part_wide()
-            self.le = HomeList(self._grid, film, state, self.wide, self.reach, margin)
-            self._return_strays()
-            self.el = BlockList(film, state, self.le)
-        if film.features.rim:
-            reach = self.mirror_reach + self.skin
-            self.be = NeighborList(self._grid, film.rim.mirror, film.n_b, x, reach, kn.ALL, times=times)
-        self.travel = film.zeros(6)
+            self._make_l(fresh)
+        if fresh:
+            state.course.builds = [1, 1]
+        self.travel, self.seen = state.memory.travel, state.seen
         self._part = film.parts()
         self._late = film.zeros(1, wp.int32)
-        self._builds = [1, 1]
         self.watched = not film.device.is_cuda
-        self.seen = Reading(self.travel)
-        self._clock = 0.0
+
+    def _make_e(self) -> None:
+        """Make the lists of E, for where E were when they were last built."""
+        film, memory, of_e = self.film, self.state.memory, self.state.e.region
+        x, n, several, times = memory.x, film.n_e, film.features.foam, film.room
+        of_both, room = ((of_e, of_e), CROWD_ROOM) if several else (None, 8)
+        self._grid.build(x, self.reach)
+        self.ee = NeighborList(self._grid, x, n, x, self.reach, kn.SAME, of_both, room, times)
+        if several:
+            reach = film.contact_reach + self.skin
+            self.eo = NeighborList(self._grid, x, n, x, reach, kn.OTHER, of_both, FACING_ROOM, times)
+        if film.features.lagrangian:
+            wide = self.reach + self.skin + HOME_MARGIN * film.spacing  # two E may have come closer by a skin since
+            self.wide = NeighborList(self._grid, x, n, x, wide, kn.SAME, of_both, room, times)
+            self._part_wide()
+        if film.features.rim:
+            reach = self.mirror_reach + self.skin
+            self.be = NeighborList(self._grid, memory.mirror, film.n_b, x, reach, kn.ALL, times=times)
+
+    def _make_l(self, fresh: bool) -> None:
+        """Make the lists between E and L, for where both were when they were last built."""
+        film, state, memory = self.film, self.state, self.state.memory
+        if fresh:
+            self._remember_l()
+        else:
+            self._build_e(memory.wide)
+        self._grid.build(memory.x_e, self.reach)
+        self.le = HomeList(self._grid, film, state, self.wide, self.reach, HOME_MARGIN * film.spacing)
+        self.el = BlockList(film, state, self.le)
+        if fresh:
+            copy(memory.home, self.le.home)
+            self._build_l(state.l.x)
+        else:
+            self._build_l(wp.clone(memory.x_l))
+            self._build_e(memory.x)
 
     @property
     def builds(self) -> list[int]:
         """Times that the E and the L lists were built."""
-        return list(self._builds)
+        return list(self.state.course.builds)
 
     def rebuild_e(self) -> None:
         """Fill the lists of E for the present positions; to be followed by `Geometry.update`."""
-        x = self.state.e.x
+        self._remember_e()
+        self._build_e(self.state.memory.x)
+        self.film.launch_one(kn.reset_travel, [0], [self.travel])
+        self.state.course.builds[0] += 1
+
+    def rebuild_l(self) -> None:
+        """Fill the lists between E and L for the present positions."""
+        self._remember_l()
+        self._build_l(self.state.l.x)
+        self.film.launch_one(kn.reset_travel, [1], [self.travel])
+        self.state.course.builds[1] += 1
+
+    def _remember_e(self) -> None:
+        """Note where E are, for their lists to be built there."""
+        memory, state = self.state.memory, self.state
+        copy(memory.x, state.e.x)
+        if memory.mirror is not None:
+            copy(memory.mirror, state.b.mirror)
+
+    def _remember_l(self) -> None:
+        """Note where E and L are and what homes L had, for the lists between them to be built there."""
+        memory, state = self.state.memory, self.state
+        copy(memory.wide, memory.x)
+        copy(memory.x_e, state.e.x)
+        copy(memory.x_l, state.l.x)
+        if self.le is not None:
+            copy(memory.home, self.le.home)
+
+    def _build_e(self, x: wp.array) -> None:
         self._grid.build(x, self.reach)
         self.ee.build(self._grid, x, x)
         if self.eo is not None:
             self.eo.build(self._grid, x, x)
         if self.be is not None:
-            self.be.build(self._grid, self.film.rim.mirror, x)
+            self.be.build(self._grid, self.state.memory.mirror, x)
         if self.wide is not None:
             self.wide.build(self._grid, x, x)
             self._part_wide()
-        self.film.launch_one(kn.reset_travel, [0], [self.travel])
-        self._builds[0] += 1
 
-    def rebuild_l(self) -> None:
-        """Fill the lists between E and L for the present positions."""
-        x = self.state.e.x
-        self._grid.build(x, self.reach)
-        self.le.build(self._grid, self.state.l.x, x)
-        self._return_strays()
-        self.el.build()
-        self.film.launch_one(kn.reset_travel, [1], [self.travel])
-        self._builds[1] += 1
+    def _build_l(self, x_l: wp.array) -> None:
+        """List L as remembered; strays among `x_l`, which are where those were, are put back."""
+        memory = self.state.memory
+        self._grid.build(memory.x_e, self.reach)
+        copy(self.le.home, memory.home)
+        self.le.build(self._grid, x_l, memory.x_e)
+        self._return_strays(x_l)
+        self.el.build(memory.x_e, x_l)
 
     def _part_wide(self) -> None:
         """Put boundary particles last in the wide rows."""
         if self.film.features.rim:
             self.film.launch_e(kh.part_rows_e, [self.film.n_e], [self.wide.rows])
 
-    def _return_strays(self) -> None:
+    def _return_strays(self, x_l: wp.array) -> None:
         """Put L that have lost the film back onto it, with the neighbours of the E where they land."""
         e, lag, film = self.state.e, self.state.l, self.film
         film.launch_l(
             kh.return_strays_l,
             [
-                *(e.x, e.region, self.ee.rows),
+                *(self.state.memory.x_e, e.region, self.ee.rows),
                 *(lag.region, film.n_e, film.r, self.le.stride),
             ],
-            [self.le.home, lag.x, self.le.rows, self.le.wanted],
+            [self.le.home, x_l, self.le.rows, self.le.wanted],
         )
 
     @property
@@ -307,16 +349,16 @@ class NeighborLists:
             return np.inf
         travel, (dt, clock, *builds) = seen
         speed = (travel[2] + which * travel[3]) / dt
-        since = GROWTH**2 * speed * (self._clock - clock)
-        return float(since + travel[which] * (builds[which] == self._builds[which]))
+        since = GROWTH**2 * speed * (self.state.course.clock - clock)
+        return float(since + travel[which] * (builds[which] == self.state.course.builds[which]))
 
     def expect(self, dt: float) -> None:
         """Note that a step of dt (s) is to come."""
-        self._clock += dt
+        self.state.course.clock += dt
 
     def look(self, dt: float) -> None:
         """Let the host see how far particles moved, after a step of dt (s)."""
-        self.seen.take((dt, self._clock, *self._builds))
+        self.seen.take((dt, self.state.course.clock, *self.state.course.builds))
 
     def forget_leaps(self) -> None:
         """Forget how far E and L moved in the steps so far, and what lists were late."""

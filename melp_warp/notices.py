@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 
 
 @dataclass
@@ -82,6 +83,16 @@ class Notices:
         """Lines to print: the notices that came up for the first time since this was last asked."""
         lines, self._fresh = self._fresh, []
         return lines
+
+    def save(self) -> dict:
+        """What is known of the run so far, in plain numbers."""
+        return {"frames": self._frames, "spans": {name: asdict(span) for name, span in self._spans.items()}}
+
+    def load(self, saved: Mapping) -> None:
+        """Go on from what was known; what was said is not said again."""
+        self.begin()
+        self._fresh, self._frames = [], saved["frames"]
+        self._spans = {name: _Span(**span) for name, span in saved["spans"].items()}
 
     def summary(self) -> str:
         """All of the run in one line; empty where there are none."""

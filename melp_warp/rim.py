@@ -38,7 +38,7 @@ class Rim:
         launch(
             kb.mirror_velocity_b,
             film.n_b,
-            [rim.mirror, rim.outward, e.normal, e.x, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
+            [self.state.b.mirror, rim.outward, e.normal, e.x, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
             [e.u],
             film.device,
         )
@@ -82,7 +82,7 @@ class Rim:
                 *(rim.anchors, rim.curvature, e.x, self.geometry.surface),
                 *(self.lists.be.rows, self.lists.mirror_reach, film.n_e),
             ],
-            [rim.mirror, e.x, e.normal],
+            [self.state.b.mirror, e.x, e.normal],
             film.device,
         )
 

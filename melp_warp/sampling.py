@@ -11,14 +11,15 @@ import warp as wp
 from melp_warp.cluster import Cluster, Wall
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
-from melp_warp.film import THICKEST, Film, RimArrays
+from melp_warp.film import ROOM, THICKEST, Film, RimArrays
 from melp_warp.kernels import transfer as kt
 from melp_warp.launch import compile_kernels
 from melp_warp.scene import Scene
-from melp_warp.shapes import Samples
+from melp_warp.shapes import Rim, Samples
 from melp_warp.single_layer import make_stepper
-from melp_warp.state import BORDER_SLOTS, GAS_SLOTS, EulerianState, LagrangianState, State, allocate, state_origin
-from melp_warp.stepper import NoFilm, Stepper
+from melp_warp.state import BoundaryState, Course, EulerianState, LagrangianState, State, allocate
+from melp_warp.stepper import Stepper
+from melp_warp.surgery import Stored
 
 RELAXATION_STEPS = 30
 MOST_RELAXATION_STEPS = 300
@@ -106,29 +107,37 @@ def _origin(points: np.ndarray) -> np.ndarray:
     return middle if np.abs(middle).max() > FAR * (high - low).max() else np.zeros(3)
 
 
-def _e_state(scene: Scene, device) -> tuple[EulerianState, RimArrays | None, int, float, np.ndarray]:
+def _e_state(scene: Scene, device) -> tuple[EulerianState, BoundaryState | None, float, np.ndarray]:
     samples = scene.shape.sample(scene.e_count)
     n_e = len(samples.points)
     spacing = float(np.sqrt(samples.area.sum() / n_e))
     _check_resolution(scene, spacing)
     _check_waves(scene, spacing)
     samples = _in_order(samples, spacing)
-    rim = scene.shape.rim(spacing, (scene.numerics.support + scene.numerics.skin) * spacing)
+    rim = _rim(scene, spacing)
     origin = _origin(samples.points)
     points, normals = samples.points - origin, samples.normals
-    arrays, n_b = None, 0
+    boundary = None
     if rim is not None:
-        n_b = len(rim.points)
         points = np.concatenate([points, rim.points - origin])
         normals = np.concatenate([normals, rim.normals])
-        fields = (rim.anchors - origin, rim.outward, rim.mirror - origin, rim.curvature)
-        arrays = RimArrays(*(wp.array(a, dtype=wp.vec3, device=device) for a in fields))
-    short = dict.fromkeys(("mass", "surfactant"), n_e)
-    state = allocate(EulerianState, short, n_e + n_b, device, count=n_e)
+        boundary = allocate(BoundaryState, {"b": len(rim.points)}, device)
+        boundary.mirror.assign(rim.mirror - origin)
+    state = allocate(EulerianState, {"e": n_e, "n": len(points)}, device, count=n_e)
     state.x.assign(points)
     state.normal.assign(normals)
     state.region.assign(_regions(samples, len(points)))
-    return state, arrays, n_b, spacing, origin
+    return state, boundary, spacing, origin
+
+
+def _rim(scene: Scene, spacing: float) -> Rim | None:
+    return scene.shape.rim(spacing, (scene.numerics.support + scene.numerics.skin) * spacing)
+
+
+def boundary_count(scene: Scene, spacing: float) -> int:
+    """Number of boundary particles that a film of this E spacing (m) has."""
+    rim = _rim(scene, spacing)
+    return 0 if rim is None else len(rim.points)
 
 
 def _regions(samples: Samples, count: int) -> np.ndarray:
@@ -165,7 +174,7 @@ def _l_state(scene: Scene, n_e: int, spacing: float, origin: np.ndarray, device)
     samples = scene.shape.sample(n_e * scene.l_per_e, offset=0.5)
     order = spatial_order(samples.points, spacing)
     count = len(order)
-    state = allocate(LagrangianState, {}, count, device, count=count)
+    state = allocate(LagrangianState, {"l": count}, device, count=count)
     state.x.assign(samples.points[order] - origin)
     state.normal.assign(samples.normals[order])
     state.region.assign(_regions(samples, count)[order])
@@ -189,18 +198,19 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
         scene.l_per_e,
         "at least 1 for a flat film, which has no normal motion",
     )
-    e, rim, n_b, spacing, origin = _e_state(scene, device)
+    e, boundary, spacing, origin = _e_state(scene, device)
     lagrangian = _l_state(scene, e.count, spacing, origin, device)
     labels = scene.shape.initial if features.foam else (0,)
-    film, state = _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, device)
-    if features.single:
-        film.room *= SINGLE_ROOM
+    state = State(e, lagrangian, boundary, len(labels), features, origin)
+    state.course.labels, state.course.shown = list(labels), origin.tolist()
+    film = film_of(scene, state, spacing)
     if features.closed:
-        film.radius = float(np.sqrt(scene.shape.area / (4.0 * np.pi)))
+        film = replace(film, radius=float(np.sqrt(scene.shape.area / (4.0 * np.pi))))
     if features.moving:
         _relax(scene, Stepper(film, state))
+        state.forget()
         if features.closed:
-            film.radius = float(np.cbrt(3.0 * state.gas.numpy()[0, 0] / (4.0 * np.pi)))
+            film = replace(film, radius=float(np.cbrt(3.0 * state.gas.numpy()[0, 0] / (4.0 * np.pi))))
     stepper = make_stepper(film, state)
     _set_masses(scene, stepper)
     if features.closed:
@@ -222,34 +232,37 @@ def unresolved(scene: Scene, stepper: Stepper) -> float:
     return float(np.degrees(np.sqrt(np.mean(np.arccos(np.clip(cosine, -1.0, 1.0)) ** 2))))
 
 
-def _film(scene, features, e, lagrangian, labels, spacing, origin, rim, n_b, device) -> tuple[Film, State]:
-    """Film and state around particles; `labels` are the scene's numbers of the regions."""
-    regions = len(labels)
-    gas = wp.zeros((regions, len(GAS_SLOTS)), dtype=wp.float64, device=device)
-    motion = wp.zeros(regions, dtype=wp.vec3, device=device)
-    border = wp.zeros(len(BORDER_SLOTS), dtype=wp.float64, device=device) if features.collects else None
-    state = State(e, lagrangian, gas, motion, border, origin)
-    counts = np.bincount(e.region.numpy()[: e.count], minlength=regions)
+def film_of(scene: Scene, state: State, spacing: float, room: float | None = None, radius: float = math.inf) -> Film:
+    """The film around a state, whose particles are `spacing` (m) apart; see `Film` for the others."""
+    features, device, sizes, labels = Features.of(scene), state.e.x.device, state.sizes, state.course.labels
+    counts = np.bincount(state.e.region.numpy()[: sizes["e"]], minlength=sizes["r"])
     factor = [scene.shape.bubbles[k].tension for k in labels] if features.foam else [1.0]
     tension = scene.material.tension * np.array(factor, dtype=wp.dtype_to_numpy(wp.float32))
-    film = Film(
+    rim = _rim(scene, spacing)
+    if rim is not None:
+        held = (rim.anchors - state.origin, rim.outward, rim.curvature)
+        rim = RimArrays(*(wp.array(a, dtype=wp.vec3, device=device) for a in held))
+    if room is None:
+        room = ROOM * (SINGLE_ROOM if features.single else 1.0)
+    return Film(
         device=device,
         features=features,
         material=scene.material,
         surroundings=scene.surroundings,
         numerics=scene.numerics,
         spacing=spacing,
-        n_e=e.count,
-        n_b=n_b,
-        n_l=lagrangian.count if lagrangian else 0,
+        n_e=sizes["e"],
+        n_b=sizes["b"],
+        n_l=sizes["l"],
         first=wp.array(np.concatenate([[0], np.cumsum(counts)]), dtype=wp.int32, device=device),
         tension=wp.array(tension, dtype=wp.float32, device=device),
         labels=tuple(labels),
         seed=scene.seed,
-        walls=_walls_from(origin, scene.shape.walls) if features.foam else (),
+        walls=_walls_from(state.origin, scene.shape.walls) if features.foam else (),
         rim=rim,
+        radius=radius,
+        room=room,
     )
-    return film, state
 
 
 def _walls_from(origin: np.ndarray, walls: tuple[Wall, ...]) -> tuple[Wall, ...]:
@@ -257,30 +270,36 @@ def _walls_from(origin: np.ndarray, walls: tuple[Wall, ...]) -> tuple[Wall, ...]
     return tuple(replace(wall, point=tuple(wall.point - origin)) for wall in walls)
 
 
-def resume(scene: Scene, stored: dict[str, np.ndarray], labels: tuple[int, ...], spacing: float, device, room=1.4):
-    """Film and stepper of a foam from arrays as `State.numpy` gives them, whatever their lengths.
+def state_of(scene: Scene, stored: dict[str, np.ndarray], regions: int, device) -> State:
+    """A state of the arrays that `State.numpy` gives, whatever their lengths; what is not there is zero."""
+    n_e, n, n_l = (len(stored.get(name, ())) for name in ("e.mass", "e.x", "l.x"))
+    e = allocate(EulerianState, {"e": n_e, "n": n}, device, count=n_e)
+    lagrangian = allocate(LagrangianState, {"l": n_l}, device, count=n_l) if "l.x" in stored else None
+    boundary = allocate(BoundaryState, {"b": n - n_e}, device) if "b.mirror" in stored else None
+    state = State(e, lagrangian, boundary, regions, Features.of(scene), time=float(stored["time"]))
+    state.load(stored)
+    return state
+
+
+def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tuple[Film, Stepper]:
+    """Film and stepper of a foam whose regions have changed.
 
     Without regions there is nothing to step: the stepper is then a `NoFilm`.
 
     Args:
         scene: the scene.
-        stored: arrays by name, E region by region.
-        labels: the scene's numbers of the regions, one each.
-        spacing: E spacing of the run, m.
-        device: where to run.
-        room: room of its neighbour lists, see `Film`.
+        stored: the foam as it is now.
+        before: the state before the change.
+        film: the film before it.
     """
-    counts = {kind: len(stored[f"{kind}.x"]) if f"{kind}.x" in stored else 0 for kind in "el"}
-    e = allocate(EulerianState, {}, counts["e"], device, count=counts["e"])
-    lagrangian = allocate(LagrangianState, {}, counts["l"], device, count=counts["l"]) if scene.l_per_e else None
-    e.region.assign(stored["e.region"])
-    film, state = _film(
-        scene, Features.of(scene), e, lagrangian, labels, spacing, state_origin(stored), None, 0, device
-    )
-    film.room = room
-    state.load(stored)
-    if not labels:
-        return film, NoFilm(film, state)
+    state = state_of(scene, stored.arrays, len(stored.labels), film.device)
+    state.ids = stored.ids
+    stays = ("limit", "cap", "speed", "pending", "unborn", "shown", "ledger")
+    kept = {name: getattr(before.course, name) for name in stays}
+    state.course = Course(**kept, crossed=state.time, labels=stored.labels, spilled=stored.spilled)
+    film = film_of(scene, state, film.spacing, film.room)
+    if not stored.labels:
+        return film, make_stepper(film, state)
     stepper = Stepper(film, state)
     stepper.fields.update()
     _fill_new_gas(film, state)

@@ -17,6 +17,9 @@ from melp_warp.shapes import Shape
 MOST_STEPS = 100_000
 """Steps that a frame may take."""
 
+MOST_STEPS_AGAIN = 2000
+"""Steps to which a frame that leaps is cut: one that wants more wants a smaller dt, or another scene."""
+
 MOST_FRAMES = 999_999
 """Frames after the first: names of files have six digits."""
 

@@ -70,3 +70,20 @@ class Reading:
         if done is not None:
             wp.synchronize_event(done)
         return host.numpy(), note
+
+    def contents(self) -> list[tuple[np.ndarray, Any]]:
+        """Copies of what was taken last, each with its note, the oldest first (waits for it)."""
+        for _, done, _ in self._taken:
+            if done is not None:
+                wp.synchronize_event(done)
+        return [(host.numpy().copy(), note) for host, _, note in self._taken]
+
+    def refill(self, contents: list[tuple[np.ndarray, Any]]) -> None:
+        """Go on as if this had been taken."""
+        self._taken.clear()
+        for values, note in contents[-self._taken.maxlen :]:
+            host, done = self._room()
+            host.assign(values)
+            if done is not None:
+                self._array.device.stream.record_event(done)
+            self._taken.append((host, done, note))

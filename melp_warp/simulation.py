@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import os
 import time
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
+from melp_warp import checkpoint
 from melp_warp.budget import Ledger, Reading
+from melp_warp.cluster import Cluster
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
 from melp_warp.events import Events
-from melp_warp.files import load_arrays, save_arrays
+from melp_warp.features import Features
 from melp_warp.film import Film
 from melp_warp.frame import BLACK_FILM, ParticleFrame
 from melp_warp.interrupt import let_through
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
-from melp_warp.launch import launch
+from melp_warp.launch import compile_kernels, launch
 from melp_warp.notices import Notices
-from melp_warp.sampling import FAR, MOST_TURN, make_film, resume, unresolved
-from melp_warp.scene import MOST_STEPS, Scene
+from melp_warp.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, unresolved
+from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
 from melp_warp.single_layer import make_stepper
-from melp_warp.state import GAS_SLOTS, Snapshot
-from melp_warp.stepper import STAGES, Stepper
-from melp_warp.stored import check_stored, kinds_of
+from melp_warp.state import GAS_SLOTS, Snapshot, State
+from melp_warp.stepper import STAGES
 from melp_warp.surgery import Stored
 
 LEAP = 0.3
@@ -40,9 +41,6 @@ LEAST_CUT = 1.0 / 16.0
 
 LEAST_STEP = 0.3
 """Step at which a leap ends the run, in times in which the fastest wave crosses a spacing: the step is not to blame."""
-
-MOST_STEPS_AGAIN = 2000
-"""Steps to which a frame that leaps is cut: one that wants more wants a smaller dt, or another scene."""
 
 FASTEST = 100.0
 """Speed of the liquid in a flat film that runs are made for, m/s: its waves may be slow."""
@@ -72,28 +70,32 @@ class Simulation:
     Args:
         scene: what to simulate.
         device: "cpu", "cuda:0", ...
+        checkpoint: file to go on from; None to start.
 
     Raises:
-        InputError: the scene or the device cannot be used.
+        InputError: the scene, the device or the checkpoint cannot be used.
 
     Attributes:
-        has_l: whether there are Lagrangian particles.
+        stepper: the stages, with the film and its state.
         notices: what whoever uses the results must know of them.
-        ledger: the energy budget so far; None where the scene wants none.
-        spilled: liquid that left with films that popped, kg.
-        origin: [3] float64, m: where `particles` measures from, the same for the whole run.
         watched: whether every step is checked at once, which a GPU would have to be waited for; else between frames.
         step_seconds: wall time of each step, s; the first ones load and record kernels, and on a GPU this is the time
             of launching alone.
     """
 
-    def __init__(self, scene: Scene, device: str = "cpu"):
+    def __init__(self, scene: Scene, device: str = "cpu", checkpoint: str | os.PathLike | None = None):
         self.scene = scene
-        self.spilled = 0.0
         self.step_seconds: list[float] = []
         self.device = find_device(device)
+        self.watched = not self.device.is_cuda
+        self.notices = Notices()
+        self._last_dt, self._substeps = 0.0, 0
+        self.events = Events(scene.shape) if isinstance(scene.shape, Cluster) else None
         try:
-            self.film, self.stepper = make_film(scene, self.device)
+            if checkpoint is not None:
+                self.load_checkpoint(checkpoint)
+            else:
+                self._begin()
         except (MemoryError, RuntimeError) as error:
             if isinstance(error, SimulationError) or "alloc" not in str(error).lower():
                 raise
@@ -101,24 +103,56 @@ class Simulation:
             raise InputError(
                 f"e_count and l_per_e must fit the memory of {self.device}, got {count:,} particles"
             ) from None
-        self.has_l = self.stepper.state.l is not None
-        self._last_dt, self._step_limit, self._substeps = 0.0, 0.0, 0
-        self.watched = not self.device.is_cuda
-        self._cap = math.inf
-        self.origin = self.stepper.state.origin
-        self._ids = {"e": np.arange(self.film.n_e), "l": np.arange(self.film.n_l)}
-        self._adopt(self.film, self.stepper)
-        self._wave_speed = self._fastest_wave()
-        self.events = Events(scene.shape) if self.film.features.foam else None
-        self.notices = Notices()
+
+    def _begin(self) -> None:
+        """Start from the scene."""
+        _, self.stepper = make_film(self.scene, self.device)
+        course, features = self.state.course, self.film.features
+        if self.events is not None:
+            self.events.begin(course)
+        course.reach, course.speed = self._longest_way(), self._fastest_wave()
         self._look_at_shape()
-        self._open_ledger()
+        if features.budget:
+            course.ledger = Ledger(whole=not (features.foam or features.air))
+            course.ledger.open(self._weighed())
+        self._good = None
+        self._keep()
         self._remark()
+
+    @property
+    def film(self) -> Film:
+        """The film as it is now; another one after its regions changed."""
+        return self.stepper.film
+
+    @property
+    def state(self) -> State:
+        """All that evolves; another one after the film's regions changed."""
+        return self.stepper.state
 
     @property
     def gone(self) -> bool:
         """Whether the last film has popped: there are no particles, and time passes until a bubble appears."""
         return self.film.n_e == 0
+
+    @property
+    def has_l(self) -> bool:
+        """Whether there are Lagrangian particles."""
+        return self.state.l is not None
+
+    @property
+    def ledger(self) -> Ledger | None:
+        """The energy budget so far; None where the scene wants none."""
+        return self.state.course.ledger
+
+    @property
+    def spilled(self) -> float:
+        """Liquid that left with films that popped, kg."""
+        return self.state.course.spilled
+
+    @property
+    def origin(self) -> np.ndarray:
+        """[3] float64, m: where `particles` measures from, the same for the whole run."""
+        return np.array(self.state.course.shown)
 
     def _look_at_shape(self) -> None:
         """Note a shape that the E are too few for."""
@@ -127,16 +161,10 @@ class Simulation:
             text = f"E normals are {turn:.3g} degrees off the shape's (rms), {MOST_TURN:g} at most: raise e_count"
             self.notices.note("shape unresolved", turn, text)
 
-    def _adopt(self, film: Film, stepper: Stepper) -> None:
-        """Go on with this film and stepper."""
-        self.film, self.stepper, self.state = film, stepper, stepper.state
-        self._snapshot = Snapshot(self.state)
-        if self.gone:
-            return
-        self._summary = film.parts(kd.vec12d)
-        self._energy = film.parts(wp.float64)
+    def _longest_way(self) -> float:
+        """How far a particle may move in a step, m."""
         size = float(np.sqrt(self.state.gas.numpy()[:, AREA].min() / np.pi))
-        self._reach = LEAP * (0.5 * size if film.features.closed else size)
+        return LEAP * (0.5 * size if self.film.features.closed else size)
 
     @property
     def time(self) -> float:
@@ -166,39 +194,64 @@ class Simulation:
             SimulationError: names the stage and the particle; the state is then that of the last good frame.
         """
         end = (self.state.frame + 1) / self.scene.fps
-        good, watched = self._mark(), self.watched
+        watched = self.watched
         while True:
             try:
                 self._advance_to(end, watched)
                 break
             except SimulationError as error:
-                again = not watched or self._give_way(error)
-                watched = True
-                self._go_back(good)
-                if not again:
+                given = self._give_way(error) if watched else (self.state.course.cap, self.film.room)
+                self._go_back(given)
+                if given is None:
                     raise SimulationError(f"{error}, at {end:.4g} s in frame {self.state.frame + 1}") from None
+                watched = True
         self.state.frame += 1
         self.state.time = end
-        self._cap *= 2.0
+        self.state.course.cap *= 2.0
         self.stepper.settle()
         self._remark()
         self._recentre()
-        self._snapshot.save(self.state)
-        if self.stepper.budget is not None:
-            self.stepper.budget.save()
-
-    def _open_ledger(self) -> None:
-        """Start an energy budget, where the scene wants one."""
-        features = self.film.features
-        self.ledger = Ledger(whole=not (features.foam or features.air)) if features.budget else None
-        if self.stepper.budget is not None:
-            self.stepper.budget.restart()
-            self.ledger.open(self._weighed())
+        self._keep()
 
     def _weighed(self) -> Reading:
         """The budget with the liquid where it is now (reads back)."""
         self.stepper.budget.weigh()
         return self.stepper.budget.read()
+
+    def _keep(self) -> None:
+        """Take the state as it is for the one to go back to."""
+        if self._good is not None and self._good.state is self.state:
+            self._good.save()
+        else:
+            self._good = Snapshot(self.state)
+        self._good_film = self.film
+
+    def _go_back(self, given: tuple[float, float] | None) -> None:
+        """Return to the last good frame, regions that changed since included, with the step and the room `given`."""
+        self._good.restore()
+        film = self._good_film
+        if given is not None:
+            self._good.state.course.cap, film = given[0], replace(film, room=given[1])
+        self.stepper = make_stepper(film, self._good.state)
+
+    def rebuild(self, moved: bool = False) -> None:
+        """Make what follows from the state anew: lists, fits, graphs. It changes nothing: twice is as good as once.
+
+        Args:
+            moved: whether particles were moved by hand, so that lists are to be those of where they are now.
+        """
+        state = self.state
+        if not moved:
+            self.stepper = make_stepper(self.film, state)
+            return
+        kept = [(array, wp.clone(array)) for array in (state.e.normal, state.gas)]
+        state.forget()
+        self.stepper = make_stepper(self.film, state)
+        if not self.film.features.moving and self.has_l:
+            self.stepper.geometry.set_area(state.memory.area)  # found from the L at the start
+        for array, values in kept:
+            wp.copy(array, values)
+        self._keep()
 
     def _remark(self) -> None:
         """Note what must be known of the frame that is done (reads back)."""
@@ -241,64 +294,25 @@ class Simulation:
     def _check_way(self) -> None:
         """Raise if a particle moved too far in a step; the explicit scheme is left to its user."""
         travel = self.stepper.lists.travel.numpy()[4:]
-        if travel.max() > self._reach and self.scene.numerics.scheme != "explicit":
+        if travel.max() > self.state.course.reach and self.scene.numerics.scheme != "explicit":
             which = "E" if travel[0] >= travel[1] else "L"
             raise LeapError(
                 f"stage advance_{which.lower()}: {which} move {travel.max():.3g} m in a step of {self._last_dt:.3g} s,"
                 f" more than {LEAP:g} of the film's radius"
             )
 
-    def _give_way(self, error: SimulationError) -> bool:
-        """Ask for what an error calls for, smaller steps or more room; whether there is any left to give."""
+    def _give_way(self, error: SimulationError) -> tuple[float, float] | None:
+        """What an error calls for, smaller steps or more room for lists; None where there is none left to give."""
+        course, room = self.state.course, self.film.room
         if isinstance(error, LeapError):
             travel = float(self.stepper.lists.travel.numpy()[4:].max())
-            self._cap = 0.5 * self._last_dt * max(self._reach / max(self._reach, travel), LEAST_CUT)
-            fastest = self._wave_speed if self.film.features.moving else max(self._wave_speed, FASTEST)
+            cap = 0.5 * self._last_dt * max(course.reach / max(course.reach, travel), LEAST_CUT)
+            fastest = course.speed if self.film.features.moving else max(course.speed, FASTEST)
             least = LEAST_STEP * self.film.spacing / fastest
-            return self._cap > max(least, 1.0 / (self.scene.fps * MOST_STEPS_AGAIN))
+            return (cap, room) if cap > max(least, 1.0 / (self.scene.fps * MOST_STEPS_AGAIN)) else None
         if isinstance(error, CrowdedError):
-            self.film.room *= 2.0
-            return self.film.room < MOST_ROOM
-        return False
-
-    def _mark(self) -> tuple:
-        """What to go back to if the coming frame fails, besides the arrays, which the snapshot holds."""
-        events = self.events.mark() if self.events else None
-        return self.film, self.stepper, self._snapshot, dict(self._ids), self.spilled, events, copy.copy(self.ledger)
-
-    def _go_back(self, good: tuple) -> None:
-        """Return to the last good frame, regions that changed since included."""
-        room = self.film.room
-        film, stepper, snapshot, ids, self.spilled, events, self.ledger = good
-        film.room = room
-        self._ids = dict(ids)
-        self._adopt(film, stepper)
-        self._snapshot = snapshot
-        self._snapshot.restore(self.state)
-        self.ledger = copy.copy(self.ledger)
-        if self.stepper.budget is not None:
-            self.stepper.budget.restore()
-        if self.events:
-            self.events.back(events)
-        self._renew()
-
-    def _renew(self) -> None:
-        """Make anew what the stages keep between steps (lists, fits, first guesses) from the state, which stays."""
-        self._last_dt, self._step_limit = 0.0, 0.0
-        if self.gone:
-            return
-        film, kept, area, budget = self.film, Snapshot(self.state), self.stepper.geometry.area, self.stepper.budget
-        self.stepper = make_stepper(film, self.state)
-        if budget is not None:
-            self.stepper.budget.take(budget)
-        if film.features.foam:
-            self.stepper.fields.update()
-            self.stepper.membrane.start_motion()
-        if not film.features.moving:  # areas were found from the L at the start
-            self.stepper.geometry.set_area(area)
-        kept.restore(self.state)
-        if self.has_l:
-            self.stepper.lists.rebuild_l()
+            return (course.cap, 2.0 * room) if 2.0 * room < MOST_ROOM else None
+        return None
 
     def _recentre(self) -> None:
         """Measure positions from a closed film itself once it has flown far."""
@@ -317,8 +331,13 @@ class Simulation:
         if self.gone:
             self.step(left)
             return left
-        self._step_limit = self.largest_step()
-        count = math.ceil(left / self._step_limit - 1e-6)
+        limit = self.state.course.limit = self.largest_step()
+        if limit * MOST_STEPS * self.scene.fps < 1.0 - 1e-9:
+            raise SimulationError(
+                f"stage advance_e: cfl asks for steps of {limit:.3g} s at a speed of {self._fastest():.3g} m/s,"
+                f" more than {MOST_STEPS:,} a frame"
+            )
+        count = math.ceil(left / limit - 1e-6)
         if count == 1 and self.stepper.budget is not None:
             self.stepper.budget.weigh()
         self.step(left / count)
@@ -327,25 +346,22 @@ class Simulation:
 
     def _until(self, end: float) -> float:
         """End of the frame, or the time of an event before it, s."""
-        following = self.events.following(self.time) if self.events else None
+        following = self.events.following(self.state) if self.events else None
         return end if following is None else min(end, following)
 
     def _change_regions(self) -> None:
         """Let regions pop, merge and appear whose time has come; the run is set up anew for what is left."""
         while self.events is not None and (change := self.events.due(self)) is not None:
-            stored = Stored(self.state.numpy(), dict(self._ids), list(self.film.labels), self.spilled)
+            stored = Stored.of(self.state)
             change(stored)
             self.stepper.remark(self.notices)
             if self.stepper.budget is not None:
                 self.ledger.cut(self.stepper.budget.read(), self.stepper.budget.pending())
-            self._ids, self.spilled = stored.ids, stored.spilled
-            self._adopt(*self._resumed(stored.arrays, tuple(stored.labels)))
+            _, self.stepper = set_up_foam(self.scene, stored, self.state, self.film)
+            if not self.gone:
+                self.state.course.reach = self._longest_way()
             if self.stepper.budget is not None:
                 self.ledger.open(self._weighed())
-
-    def _resumed(self, stored: dict[str, np.ndarray], labels: tuple[int, ...]) -> tuple[Film, Stepper]:
-        """Film and stepper of this foam with other regions."""
-        return resume(self.scene, stored, labels, self.film.spacing, self.device, self.film.room)
 
     def largest_step(self) -> float:
         """The scene's dt, or the step in which the fastest particle moves `cfl` spacings, s.
@@ -354,7 +370,7 @@ class Simulation:
         Where the scene sets no dt, the first step is that of the fastest wave on the film and a step is at most twice
         the one before: at the start nothing has moved yet.
         """
-        limit = min(1.0 / self.scene.fps, self._cap)
+        limit = min(1.0 / self.scene.fps, self.state.course.cap)
         if self.film.features.single:
             limit = min(limit, self.stepper.longest_step(self._fastest()))
         if self.scene.dt is not None:
@@ -362,15 +378,10 @@ class Simulation:
         if self.film.features.foam:
             limit = min(limit, self.stepper.membrane.longest_step(self._fastest()))
         reach = self.scene.numerics.cfl * self.film.spacing
-        if self._step_limit == 0.0:
-            return min(limit, reach / self._wave_speed)
+        if self.state.course.limit == 0.0:
+            return min(limit, reach / self.state.course.speed)
         speed = self._fastest()
-        wanted = min(2.0 * self._step_limit, reach / speed if speed > 0.0 else limit)
-        if wanted * MOST_STEPS * self.scene.fps < 1.0:
-            raise SimulationError(
-                f"stage advance_e: cfl asks for steps of {wanted:.3g} s at a speed of {speed:.3g} m/s,"
-                f" more than {MOST_STEPS:,} a frame"
-            )
+        wanted = min(2.0 * self.state.course.limit, reach / speed if speed > 0.0 else limit)
         return min(limit, wanted)
 
     def _fastest(self) -> float:
@@ -403,7 +414,7 @@ class Simulation:
             eta, area = self.stepper.fields.eta.numpy(), self.stepper.geometry.area.numpy()
         source = self.state.l if which == "l" else self.state.e
         region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
-        ids = self._ids[which]
+        ids = self.state.ids[which]
         order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
         if which == "l" and self.film.features.collects:
             order = np.flatnonzero(there)
@@ -491,6 +502,7 @@ class Simulation:
             "e_spread": 0.0,
             "lost": 0,
             "notices": dict(self.notices.of_frame),
+            **({"budget": self.ledger.line()} if self.ledger is not None else {}),
             "wall_ms": {},
         }
 
@@ -527,21 +539,22 @@ class Simulation:
         else:
             e = state.e
             arrays = [e.mass, e.surfactant, e.u, e.u, self.stepper.fields.eta, film.material.density, film.n_e]
-        film.launch_parts(kd.summarize_chunks, arrays, [self._summary])
-        parts = self._summary.numpy()
+        summary = film.parts(kd.vec12d)
+        film.launch_parts(kd.summarize_chunks, arrays, [summary])
+        parts = summary.numpy()
         total = parts.sum(axis=0)
         total[6], total[7], total[8] = parts[:, 6].max(), parts[:, 7].min(), parts[:, 8].max()
         return total
 
     def _surface_energy(self) -> float:
         film, s = self.film, self.stepper
-        cover = s.membrane.cover if film.features.foam else None
+        cover, energy = s.membrane.cover if film.features.foam else None, film.parts(wp.float64)
         film.launch_parts(
             kd.energy_chunks,
             [s.geometry.area, s.fields.gamma, self.state.e.region, film.tension, film.slope, cover, film.n_e],
-            [self._energy],
+            [energy],
         )
-        return float(self._energy.numpy().sum())
+        return float(energy.numpy().sum())
 
     def _solver_reports(self) -> dict:
         s, reports = self.stepper, {}
@@ -560,62 +573,31 @@ class Simulation:
         return lines
 
     def save_checkpoint(self, path: str | os.PathLike) -> None:
-        """Write the state to `path` (.npz), whole or not at all.
-
-        The run goes on from what was written, lists and first guesses made anew: a run that loads the file goes on the
-        same, bit for bit on the CPU.
-        """
-        self.stepper.settle()
-        save_arrays(path, {**self.state.numpy(), **self._foam_record()})
-        self.renew()
-
-    def _foam_record(self) -> dict[str, np.ndarray]:
-        """What a checkpoint of a foam holds besides the state."""
-        if self.events is None:
-            return {}
-        return {
-            **{f"ids.{kind}": ids for kind, ids in self._ids.items()},
-            "labels": np.array(self.film.labels, dtype=int),
-            "unborn": np.array(self.events.unborn, dtype=int),
-            "spilled": np.array(self.spilled),
-        }
-
-    def _load_foam(self, stored: dict[str, np.ndarray]) -> None:
-        self._ids = {kind: stored[f"ids.{kind}"] for kind in "el"}
-        self.spilled = float(stored["spilled"])
-        self.events = Events(self.scene.shape)
-        self.events.skip(float(stored["time"]), stored["unborn"].tolist())
-        labels = tuple(int(k) for k in stored["labels"])
-        self._adopt(*self._resumed(stored, labels))
-        self._take(stored)
-
-    def _take(self, stored: dict[str, np.ndarray]) -> None:
-        """Go on from the values of a state of these sizes."""
-        self.state.load(stored)
-        self.renew()
-        self._open_ledger()
-
-    def renew(self) -> None:
-        """Go on from the state as it is now, particles that were moved by hand included."""
-        self._snapshot.save(self.state)
-        self._cap = math.inf
-        self._renew()
-
-    def load_checkpoint(self, path: str | os.PathLike) -> None:
-        """Go on from a checkpoint of the same scene. The file may be anybody's: it is checked before anything changes.
+        """Write the state to `path` (.npz), whole or not at all, see `melp_warp.checkpoint`; the run goes on as if not.
 
         Raises:
-            InputError: the file cannot be read, or holds what no run of this scene can have left.
+            OSError: it cannot be written.
         """
-        like = {**self.state.numpy(), **self._foam_record()}
-        stored = load_arrays(path, kinds_of(like))
-        cluster = self.scene.shape if self.film.features.foam else None
-        late = Events(cluster).unborn if cluster else []
-        try:
-            check_stored(stored, like, self.scene.fps, len(cluster.bubbles) if cluster else None, late)
-        except InputError as error:
-            raise InputError(f"checkpoint {path} does not fit: {error}") from None
-        if cluster:
-            self._load_foam(stored)
-        else:
-            self._take(stored)
+        self.stepper.settle()
+        film = {"spacing": self.film.spacing, "radius": self.film.radius, "room": self.film.room}
+        checkpoint.write(path, self.scene, film, self.state, self.notices)
+
+    def load_checkpoint(self, path: str | os.PathLike, changed: bool = False) -> None:
+        """Go on from a checkpoint of the same scene, bit for bit on the CPU.
+
+        The file may be anybody's: it is checked before anything changes.
+
+        Args:
+            path: the file.
+            changed: whether the scene may differ from that of the file in what may change during a run.
+
+        Raises:
+            InputError: the file cannot be read or does not fit the scene.
+        """
+        read = checkpoint.read(path, self.scene, changed)
+        compile_kernels(Features.of(self.scene).kernels(), self.device)
+        state = read.make_state(self.scene, self.device)
+        self.stepper = make_stepper(film_of(self.scene, state, **read.film), state)
+        self.notices.load(read.notices)
+        self._good = None
+        self._keep()

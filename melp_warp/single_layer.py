@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
 
 import warp as wp
 
@@ -16,7 +15,7 @@ from melp_warp.kernels import single_layer as ks
 from melp_warp.launch import copy, launch
 from melp_warp.neighbors import NeighborLists
 from melp_warp.state import State
-from melp_warp.stepper import Stepper
+from melp_warp.stepper import NoFilm, Stepper
 from melp_warp.surfactant import Fields
 
 VISCOUS_REACH = 0.2
@@ -57,7 +56,7 @@ class SummedFields(Fields):
             launch(
                 ks.mirror_concentration_b,
                 film.n_b,
-                [film.rim.mirror, e.x, self.gamma, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
+                [self.state.b.mirror, e.x, self.gamma, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
                 [self.beyond],
                 film.device,
             )
@@ -142,9 +141,15 @@ class SingleLayer(Stepper):
         self.lists.record_e(self._x_old, self.at_rest, dt)
         self._guard_e("advance_e")
 
-    @cached_property
+    @property
     def wave_speed(self) -> float:
-        """Speed of the fastest wave: along the film sqrt(2 R T c/m), across it sqrt(2 sigma/m), m/s (reads back)."""
+        """Fastest wave when first asked: sqrt(2 R T c/m) along the film, sqrt(2 sigma/m) across, m/s (reads back)."""
+        course = self.state.course
+        if course.layer_speed is None:
+            course.layer_speed = self._find_wave_speed()
+        return course.layer_speed
+
+    def _find_wave_speed(self) -> float:
         film, e, m = self.film, self.state.e, self.film.material
         speed = math.sqrt(2.0 * m.rt * float((e.surfactant.numpy() / e.mass.numpy()).max()))
         if not film.features.moving:
@@ -160,6 +165,8 @@ class SingleLayer(Stepper):
         return film.numerics.cfl * min(wave, viscous)
 
 
-def make_stepper(film: Film, state: State) -> Stepper:
-    """The step that the scene's numerics ask for."""
+def make_stepper(film: Film, state: State) -> Stepper | NoFilm:
+    """The step that the scene's numerics ask for; none where no region is left."""
+    if film.regions == 0:
+        return NoFilm(film, state)
     return SingleLayer(film, state) if film.features.single else Stepper(film, state)

@@ -63,7 +63,7 @@ class Stepper:
 
     def __init__(self, film: Film, state: State):
         self.film, self.state = film, state
-        f = film.features
+        f, fresh = film.features, state.fresh
         self.lists = NeighborLists(film, state)
         self.geometry = Geometry(film, state, self.lists)
         self.fields = self._make_fields()
@@ -97,7 +97,7 @@ class Stepper:
             name: Recorded(run, film.device, rows if name in OF_L else film.n_e) for name, run in self._table().items()
         }
         self._graphs = [Recorded(run, film.device, rows) for run in (self._move, self._follow)]
-        self.geometry.update()
+        self.geometry.update() if fresh else self.geometry.again()
 
     def _make_fields(self) -> Fields:
         return Fields(self.film, self.state, self.geometry)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from melp_warp.state import GAS_SLOTS
+from melp_warp.state import GAS_SLOTS, State
 
 VOLUME, GAUGE, AMOUNT = (GAS_SLOTS.index(name) for name in ("volume", "gauge_pressure", "amount"))
 
@@ -33,6 +33,12 @@ class Stored:
     ids: dict[str, np.ndarray]
     labels: list[int] = field(default_factory=list)
     spilled: float = 0.0
+
+    @classmethod
+    def of(cls, state: State) -> Stored:
+        """The state as it is now; what stages remember of it is of no use to another one."""
+        arrays = {k: a for k, a in state.numpy().items() if not k.startswith(("memory.", "ids."))}
+        return cls(arrays, dict(state.ids), list(state.course.labels), state.course.spilled)
 
     @property
     def kinds(self) -> str:

@@ -1,12 +1,14 @@
 """Checkpoints that anybody may have made: refused in one line before anything changes, or gone on from."""
 
 import io
+import json
 import random
 import zipfile
 
 import numpy as np
 import pytest
 
+from melp_warp import checkpoint
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.registry import load_scene
 from melp_warp.simulation import Simulation
@@ -59,8 +61,15 @@ def spoil(array, rng):
     if array.dtype.kind == "f":
         array.flat[at] = rng.choice([np.nan, np.inf, -np.inf, 3e38, -1e9, 1e25])
     else:
-        array.flat[at] = rng.choice([-1, 2**31 - 1, -(2**31), 1_000_000, int(array.flat[at]) + 7])
+        values = [-1, 2**31 - 1, -(2**31), 1_000_000, int(array.flat[at]) + 7]
+        array.flat[at] = np.int64(rng.choice(values)).astype(array.dtype)
     return array
+
+
+def seal(arrays, right=True):
+    """Give arrays the checksum that they should have."""
+    if right and all(a.dtype != object for a in arrays.values()):
+        arrays[checkpoint.CHECKSUM] = checkpoint.checksum(arrays)
 
 
 def garbled(data, rng):
@@ -79,17 +88,46 @@ def garbled(data, rng):
         return data[:at] + rng.choice([b"\xff" * 8, b"\0" * 8, (2**40).to_bytes(8, "little")]) + data[at + 8 :]
     arrays = arrays_of(data)
     name = rng.choice(sorted(arrays))
+    if rng.random() < 0.5:
+        name = checkpoint.HEADER
     if kind == 3:
         del arrays[name]
     elif kind == 4:  # a bomb: little on the disk, much in memory
         file = io.BytesIO()
         np.savez_compressed(file, **{**arrays, name: np.zeros(10_000_000)})
         return file.getvalue()
+    elif name == checkpoint.HEADER and kind > 5:
+        arrays[name] = respelled(arrays[name], rng)
     else:
         arrays[name] = spoil(arrays[name], rng)
+    seal(arrays, rng.random() < 0.9)
     file = io.BytesIO()
     np.savez(file, **arrays)
     return file.getvalue()
+
+
+ODD = [None, True, -1, 0, 1e308, -1e-9, float("nan"), float("inf"), 10**30, "x", [], {}, [[]], {"x": 1}, [0, 0, 0]]
+
+
+def leaves(value, path=()):
+    """Paths of all that is in a JSON value, containers too."""
+    yield path
+    for key, one in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from leaves(one, (*path, key))
+
+
+def respelled(header, rng):
+    """A header with one value changed, left out or added."""
+    text = json.loads(header.tobytes())
+    path = rng.choice([p for p in leaves(text) if p and p[0] != "scene"])
+    at = text
+    for key in path[:-1]:
+        at = at[key]
+    if rng.random() < 0.8:
+        at[path[-1]] = rng.choice(ODD)
+    else:
+        del at[path[-1]]
+    return np.frombuffer(json.dumps(text).encode(), dtype=np.uint8)
 
 
 def load(sim, path, data):
@@ -142,6 +180,7 @@ def test_what_no_run_left_is_named(made, name, change, words, tmp_path):
     sim, data = made
     arrays = arrays_of(data)
     arrays[name] = change(arrays[name])
+    seal(arrays)
     np.savez(tmp_path / "c.npz", **arrays)
     before = state_of(sim)
     with pytest.raises(InputError, match=words):

@@ -188,7 +188,7 @@ def test_minimal_surface_is_continued(device):
             s.lists.rebuild()
             s.geometry.update()
         off = np.abs(distance_to_catenoid(f64(s.state.e.x)[film.n_e :], 0.04))
-        depth = np.linalg.norm(f64(film.rim.mirror) - f64(film.rim.anchors), axis=1)
+        depth = np.linalg.norm(f64(s.state.b.mirror) - f64(film.rim.anchors), axis=1)
         spacings.append(film.spacing)
         near.append(off[depth < 2.0 * film.spacing].max())
         far.append(off.max())

@@ -373,7 +373,7 @@ def test_a_checkpoint_of_a_foam_goes_on(tmp_path):
     second = Simulation(scene)
     second.load_checkpoint(tmp_path / "c.npz")
     assert second.film.labels == first.film.labels == (1,)
-    assert [e.region for e in second.events.pending] == [1]
+    assert [e.region for e in second.events.pending(second.state.course)] == [1]
     assert np.array_equal(second.particles("e").ids, first.particles("e").ids)
     second.advance_frame()
     assert second.frame == 5
@@ -382,7 +382,7 @@ def test_a_checkpoint_of_a_foam_goes_on(tmp_path):
 def test_bad_checkpoint_of_a_foam(tmp_path):
     """A file that is not one of this scene is refused."""
     np.savez(tmp_path / "c.npz", labels=np.array([0]))
-    with pytest.raises(InputError, match="must be of this scene"):
+    with pytest.raises(InputError, match="must be ours, got 'one without header'"):
         Simulation(two(400)).load_checkpoint(tmp_path / "c.npz")
 
 
