@@ -33,7 +33,10 @@ def spread_chunks(density: wp.array(dtype=float), first: wp.array(dtype=wp.int32
 
 @wp.kernel
 def summarize_spread_r(part: wp.array(dtype=wp.vec4), threshold: float, spread: wp.array(dtype=wp.vec3)):
-    """For each region ((delta_max - delta_min)/delta_mean, delta_mean, 1 where above the threshold)."""
+    """For each region w = (delta_max - delta_min)/delta_mean, delta_mean, and how strongly E are to be shifted.
+
+    That is 0 where w is below the threshold, and the square of w over the threshold beyond.
+    """
     g = wp.tid()
     start, stop = region_parts(g, part.shape[0], spread.shape[0])
     low = float(1.0e30)
@@ -48,7 +51,8 @@ def summarize_spread_r(part: wp.array(dtype=wp.vec4), threshold: float, spread: 
         s2 += p[3]
     mean = s1 / s2
     width = (high - low) / mean
-    spread[g] = wp.vec3(width, mean, wp.where(width > threshold, 1.0, 0.0))
+    over = width / wp.max(threshold, 1.0e-6)
+    spread[g] = wp.vec3(width, mean, wp.where(over > 1.0, over * over, 0.0))
 
 
 @wp.kernel
@@ -64,7 +68,7 @@ def load_pressure_e(
     i = wp.tid()
     d = density[i]
     s = spread[region[i]]
-    b[i] = s[2] * (d - s[1]) / (d * d)
+    b[i] = wp.where(s[2] > 0.0, (d - s[1]) / (d * d), 0.0)
     start[i] = 0.0
 
 
@@ -106,9 +110,9 @@ def shift_e(
         rows: E:E neighbours.
         gradient: [pairs] gradient weights, 1/m.
         r: support radius, m.
-        strength: beta, 0 to 1.
+        strength: beta at the threshold, 0 to 1: it grows with the square of the spread, up to 1.
         spacing: of the E, m.
-        limit: largest shift, m; up to four times as much where the E are so uneven that their spread is above 1.
+        limit: largest shift, m.
         x_new: [n_e] m.
         u_new: [n_e] velocity at the place moved to, m/s.
         u_mid_new: [n_e] normal speed there, m/s.
@@ -116,16 +120,17 @@ def shift_e(
     i = rows.first + wp.tid()
     n = normal[i]
     shift = wp.vec3()
-    if spread[region[i]][2] > 0.0:
-        shift = -strength * tangential(gradient_row(i, pressure, rows, gradient, pressure.shape[0]), n)
-        shift += strength * APART * tangential(away_from_near(i, x, normal, rows, CLOSE * spacing), n)
+    asked = spread[region[i]][2]
+    if asked > 0.0:
+        beta = wp.min(strength * asked, 1.0)
+        shift = -beta * tangential(gradient_row(i, pressure, rows, gradient, pressure.shape[0]), n)
+        shift += beta * APART * tangential(away_from_near(i, x, normal, rows, CLOSE * spacing), n)
     size = wp.length(shift)
     p = x[i]
     v = u[i]
     speed = u_mid[i]
     if size > 0.0:
-        most = limit * wp.clamp(spread[region[i]][0], 1.0, 4.0)
-        shift = shift * wp.min(most / size, 1.0)
+        shift = shift * wp.min(limit / size, 1.0)
         e1, e2 = tangent_basis(n)
         factor, c = fit_height(i, x, n, rows, r, x.shape[0], False)
         h = r / 3.0

@@ -20,8 +20,8 @@ SHIFT_TOLERANCE = 0.05
 SHIFT_ITERATIONS = 2.0
 """Most iterations of the pseudo-pressure solve over the square root of the number of E: it takes 0.75 of that."""
 
-SHIFT_LIMIT = 0.1
-"""Largest shift of an E in one redistribution, in spacings; more where the E are very uneven, see `shift_e`."""
+SHIFT_LIMIT = 0.4
+"""Largest shift of an E in one redistribution, in spacings: a fine film that is stretched over a length needs many."""
 
 START_SPREAD = 0.02
 """Spread of E density from which on they are evened out at the start, where it costs the film nothing."""
@@ -63,7 +63,7 @@ class Redistribution:
     What line 13 adds, drift += shift/dt, carries E on past where they are even: it winds up and drives the film.
 
     Attributes:
-        spread: [regions] (delta_max - delta_min)/delta_mean, delta_mean (1/m^2), 1 if E were shifted.
+        spread: [regions] (delta_max - delta_min)/delta_mean, delta_mean (1/m^2), above 0 if E were shifted.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from melp_warp.cluster import Cluster, Event, Pop
-from melp_warp.sampling import liquid
+from melp_warp.sampling import liquid, normal_part
 from melp_warp.surgery import Stored, add_region, merge_regions, pop_region
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Events:
             if room.min(initial=np.inf) > bubble.radius + CLEARANCE * simulation.film.spacing:
                 unborn.remove(label)
                 particles, gauge = self._new_bubble(label, simulation)
-                return lambda stored: add_region(stored, label, particles, gauge)
+                return lambda stored: add_region(stored, label, particles, gauge, bubble.velocity)
         return None
 
     @staticmethod
@@ -141,7 +141,7 @@ class Events:
                 particles[kind] = {
                     "x": s.points - simulation.state.origin,
                     "normal": s.normals,
-                    "u": velocity,
+                    "u": velocity if scene.l_per_e else normal_part(velocity, s.normals),
                     "v": velocity,
                     "mass": mass,
                     "surfactant": amount,

@@ -432,6 +432,11 @@ def _share_sums(stepper: Stepper) -> None:
     geometry.area.assign(area * cells.sum() / area.sum())
 
 
+def normal_part(u: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """The velocity [n, 3] that E of a film without L start with: nothing carries what lies in the film."""
+    return np.sum(u * normal, axis=1, keepdims=True) * normal
+
+
 def _set_velocity(scene: Scene, stepper: Stepper) -> None:
     film, state = stepper.film, stepper.state
     u = np.zeros((film.total, 3))
@@ -443,6 +448,8 @@ def _set_velocity(scene: Scene, stepper: Stepper) -> None:
     state.e.u.assign(u)
     if stepper.membrane is not None:
         stepper.membrane.start_motion()
+        if not (film.features.lagrangian or film.features.single):
+            state.e.u.assign(normal_part(u, state.e.normal.numpy()))
     if state.l is not None:
         stepper.transfer.start_l()
 

@@ -136,7 +136,13 @@ def _hand_over(arrays: dict[str, np.ndarray], kind: str, gone: np.ndarray, kept:
     u[met] = momentum[met] / mass[met, None]
 
 
-def add_region(stored: Stored, label: int, particles: dict[str, dict[str, np.ndarray]], gauge: float) -> None:
+def add_region(
+    stored: Stored,
+    label: int,
+    particles: dict[str, dict[str, np.ndarray]],
+    gauge: float,
+    velocity: tuple[float, float, float],
+) -> None:
     """Append a region; its volume and amount of gas are filled in where the volume is measured.
 
     Args:
@@ -144,6 +150,7 @@ def add_region(stored: Stored, label: int, particles: dict[str, dict[str, np.nda
         label: the scene's number of the region.
         particles: "e" and "l": arrays of the new particles by name; what is missing is 0.
         gauge: pressure over the atmosphere's, Pa.
+        velocity: of the region as a whole, m/s.
     """
     k = len(stored.labels)
     for kind in stored.kinds:
@@ -158,6 +165,5 @@ def add_region(stored: Stored, label: int, particles: dict[str, dict[str, np.nda
     gas = np.zeros((1, len(GAS_SLOTS)))
     gas[0, GAUGE] = gauge
     stored.arrays["gas"] = np.concatenate([stored.arrays["gas"], gas])
-    velocity = particles["e"]["u"][:1]
-    stored.arrays["motion"] = np.concatenate([stored.arrays["motion"], velocity])
+    stored.arrays["motion"] = np.concatenate([stored.arrays["motion"], [velocity]])
     stored.labels.append(label)
