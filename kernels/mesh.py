@@ -148,6 +148,37 @@ def find_nearest_v(
 
 
 @wp.kernel
+def keep_apart_l(
+    grid: wp.uint64,
+    point: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    apart: wp.array(dtype=wp.float32),
+    # outputs
+    kept: wp.array(dtype=wp.int32),
+):
+    """Keep each L that lies far enough from all kept before; one thread.
+
+    Args:
+        grid: over `point`.
+        point: [n] m.
+        normal: [n] unit.
+        region: [n].
+        apart: [regions] least distance of kept ones of a sheet, m.
+        kept: [n] zeroed; 1 for those that are kept.
+    """
+    for i in range(point.shape[0]):
+        radius = apart[region[i]]
+        free = wp.int32(1)
+        for j in wp.hash_grid_query(grid, point[i], radius):
+            if kept[j] == 1 and region[j] == region[i] and wp.dot(normal[i], normal[j]) > 0.2:
+                if wp.length_sq(point[j] - point[i]) < radius * radius:
+                    free = 0
+                    break
+        kept[i] = free
+
+
+@wp.kernel
 def list_facing_v(
     grid: wp.uint64,
     x: wp.array(dtype=wp.vec3),

@@ -174,15 +174,19 @@ def _read(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame 
     return _KINDS[answer["kind"]](**arrays, origin=tuple(answer["origin"]))
 
 
-def read_prims(directory: str | os.PathLike) -> list[str]:
-    """Names of the prims of any cache, as `usd.read_metadata` tells them.
+def read_root(directory: str | os.PathLike) -> dict:
+    """What drawing and measuring any cache need of its root.
+
+    Returns:
+        prims: names from /World; framesPerSecond; rims: points of each wire, m; floors: point and normal of each, m;
+        with_l: whether /World/Film holds L, and l_per_e.
 
     Raises:
         InputError: as `usd.read_metadata`, or USD hangs or breaks down on the file.
     """
     from melp_warp.usd import ROOT
 
-    return _ask_once({"call": "prims", "directory": str(directory)}, Path(directory) / ROOT)[0]["prims"]
+    return _ask_once({"call": "root", "directory": str(directory)}, Path(directory) / ROOT)[0]["root"]
 
 
 def check_cache(directory: str | os.PathLike) -> list[str]:
@@ -255,10 +259,14 @@ def _answer_frame(question: dict, say) -> None:
     say(answer, [a.tobytes() for a in arrays])
 
 
-def _answer_prims(question: dict, say) -> None:
-    from melp_warp.usd import read_metadata
+def _answer_root(question: dict, say) -> None:
+    from melp_warp.usd import floors_of, holds_l, read_metadata, read_rims
 
-    say({"prims": read_metadata(question["directory"])["prims"], "done": True})
+    metadata = read_metadata(question["directory"])
+    with_l, l_per_e = holds_l(metadata)
+    root = {"prims": metadata["prims"], "framesPerSecond": metadata["framesPerSecond"], "with_l": with_l}
+    rims = [rim.tolist() for rim in read_rims(question["directory"])]
+    say({"root": root | {"rims": rims, "floors": floors_of(metadata), "l_per_e": l_per_e}, "done": True})
 
 
 def _answer_check(question: dict, say) -> None:
@@ -275,4 +283,4 @@ def _answer_check(question: dict, say) -> None:
     say({"done": True})
 
 
-_ANSWERS = {"frame": _answer_frame, "prims": _answer_prims, "check": _answer_check}
+_ANSWERS = {"frame": _answer_frame, "root": _answer_root, "check": _answer_check}

@@ -131,13 +131,57 @@ def _add_scenes(commands: argparse._SubParsersAction) -> None:
 
 
 def _add_preview(commands: argparse._SubParsersAction) -> None:
-    preview = commands.add_parser("preview", help="draw a frame to PNG", description="Draw a frame to PNG.")
-    preview.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
-    preview.add_argument("--frame", metavar="N", type=int, help="frame number (default: the last)")
-    preview.add_argument("--out", metavar="FILE", type=Path, help="image to write (default: DIR/preview.png)")
-    preview.add_argument("--size", metavar="N", type=int, default=800, help="width and height, pixels (default: 800)")
-    preview.add_argument("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
+    preview = commands.add_parser("preview", help="draw frames", description="Draw frames as pictures or a movie.")
+    add = preview.add_argument
+    add("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    add("--frame", metavar="N", type=int, help="frame number (default: the last)")
+    add("--frames", metavar="A:B[:STEP]", type=_frames, help="frames A to B; `:` for all")
+    add("--out", metavar="FILE", type=Path, help="picture, its format by its ending; with # for numbers")
+    add("--movie", metavar="FILE", type=Path, help="movie of the frames, .mp4 or .gif (default: of all)")
+    add("--fps", metavar="F", type=float, help="pictures a second of the movie (default: the run's)")
+    add("--size", metavar="N|WxH", type=_size, default=(800, 800), help="pixels (default: 800)")
+    add("--from", dest="toward", metavar="X,Y,Z", type=_vector, help="direction from the film to the camera")
+    add("--orbit", metavar="DEG", type=float, default=0.0, help="turn the camera around the film")
+    add("--look-at", metavar="X,Y,Z", type=_vector, help="middle of the picture, m")
+    add("--eye", metavar="X,Y,Z", type=_vector, help="where the camera stands, m")
+    add("--fov", metavar="DEG", type=float, default=22.0, help="angle of view (default: 22)")
+    add("--environment", metavar="NAME|FILE", default="auto", help="studio, panel, sky, white or a picture")
+    add("--background", metavar="NAME", default="dark", help="dark, light, around or #rrggbb")
+    add("--exposure", metavar="X", type=float, help="gain on the light (default: 13)")
+    add("--layers", metavar="N", type=int, help="films seen behind one another at most (default: 8)")
+    add("--samples", metavar="N", type=int, default=2, help="samples along a pixel's side, 1 to 4 (default: 2)")
+    add("--particles", action="store_true", help="draw the particles, not the surface")
+    add("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
     preview.set_defaults(command=_preview)
+
+
+def _frames(text: str) -> tuple[int | None, int | None, int]:
+    """First and last frame, None for the cache's, and step."""
+    parts = text.split(":")
+    try:
+        if len(parts) in (2, 3):
+            first, last, step = (int(part) if part else None for part in [*parts, ""][:3])
+            return first, last, 1 if step is None else step
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"must be A:B or A:B:STEP in whole numbers, got {text!r}")
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Width and height."""
+    width, _, height = text.lower().partition("x")
+    try:
+        return int(width), int(height or width)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be N or WxH in pixels, got {text!r}") from None
+
+
+def _vector(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be three numbers X,Y,Z, got {text!r}") from None
+    return x, y, z
 
 
 def _add_mesh(commands: argparse._SubParsersAction) -> None:
@@ -282,9 +326,16 @@ def _shown(value: object) -> str:
 
 def _preview(options: argparse.Namespace) -> int:
     from melp_warp import runner
+    from melp_warp.pictures import Shot
 
-    path = runner.draw_frame(options.folder, options.frame, options.out, options.size, options.device)
-    print(path)
+    given = vars(options) | {"width": options.size[0], "height": options.size[1]}
+    require(options.frame is None or options.frames is None, "--frames", options.frames, "left out with --frame")
+    if options.frame is not None:
+        given["frames"] = (options.frame, options.frame, 1)
+    elif options.movie is not None and options.frames is None:
+        given["frames"] = (None, None, 1)
+    for path in runner.draw(Shot(**{name: given[name] for name in Shot.__dataclass_fields__})):
+        print(path)
     return OK
 
 

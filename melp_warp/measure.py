@@ -224,14 +224,14 @@ def measure_cache(
     Raises:
         InputError: there is no such cache, frame or set, or see `measure`.
     """
-    from melp_warp.apart import read_frame, read_prims
+    from melp_warp.apart import read_frame, read_root
     from melp_warp.usd import list_frames
 
     frames = list_frames(folder)
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
     frame = frames[-1] if frame is None else frame
     require(frame in frames, "--frame", frame, f"from {frames[0]} to {frames[-1]}")
-    has_e = "FilmE" in read_prims(folder)
+    has_e = "FilmE" in read_root(folder)["prims"]
     require(which != "e" or has_e, "--set", which, "film, as the cache has no /World/FilmE")
     prim = "FilmE" if has_e and which != "film" else "Film"
     if spacing is None and has_e:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -42,6 +42,14 @@ CORNER = 0.35
 
 HOME = 2.0
 """Distance within which the nearest vertex of an L is sought, spacings."""
+
+EVEN = 0.85
+"""Least distance of the L that a mesh is made of, E spacings: as many as there are E fit with that."""
+
+_FIELDS = [field.name for field in fields(ParticleFrame) if field.name != "origin"]
+
+FOLDED = "triangles look inwards"
+"""End of the line that tells of them: such a mesh is closed, and can be drawn."""
 
 LEAST_PARTS, MOST_PARTS = 2, 32
 """Fewest and most parts of a triangle's edge: with 2 its middle is on the curved surface already."""
@@ -102,6 +110,7 @@ def make_meshes(
     """
     if not len(e.points):
         return {}, []
+    wp.init()
     labels, region = np.unique(e.region, return_inverse=True)
     area = 0.25 * np.pi * e.widths.astype(np.float64) ** 2
     spacing = np.sqrt(np.bincount(region, area) / np.bincount(region))
@@ -119,8 +128,31 @@ def make_meshes(
         _scale(fine, liquid, len(labels))
     problems = _problems(coarse, labels)
     for k in np.flatnonzero(np.bincount(fine.of_face, fine.folded, minlength=len(labels))):
-        problems.append(f"region {labels[k]}: {fine.folded[fine.of_face == k].sum()} triangles look inwards")
+        problems.append(f"region {labels[k]}: {fine.folded[fine.of_face == k].sum()} {FOLDED}")
     return _split(coarse, fine, labels, e.origin), problems
+
+
+def thin_out(many: ParticleFrame, l_per_e: int) -> ParticleFrame:
+    """A part of the L, evenly spread, about as many as there were E: what a mesh is made of where E are not at hand."""
+    regions, region = np.unique(many.region, return_inverse=True)
+    area = 0.25 * np.pi * many.widths.astype(np.float64) ** 2
+    own = np.bincount(region, area, minlength=len(regions))
+    apart = EVEN * np.sqrt(max(l_per_e, 1) * own / np.maximum(np.bincount(region), 1))
+    n = len(many.points)
+    wp.init()
+    kept = _zeros(n)
+    if n:
+        x = wp.array(many.points, dtype=wp.vec3, device=DEVICE)
+        grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=DEVICE)
+        grid.build(x, float(apart.max()))
+        reach = wp.array(apart, dtype=wp.float32, device=DEVICE)
+        normal = wp.array(many.normals, dtype=wp.vec3, device=DEVICE)
+        launch(km.keep_apart_l, 1, [grid.id, x, normal, _ints(region), reach], [kept], DEVICE)
+    few = np.flatnonzero(kept.numpy())
+    share = own / np.maximum(np.bincount(region[few], minlength=len(regions)), 1)
+    arrays = {name: getattr(many, name)[few] for name in _FIELDS}
+    arrays["widths"] = np.sqrt(4.0 / np.pi * share[region[few]]).astype(np.float32)
+    return ParticleFrame(**arrays, origin=many.origin)
 
 
 def triangulate(

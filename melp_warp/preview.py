@@ -4,27 +4,29 @@ The pictures need no other program and are drawn on the CPU or a CUDA device. Th
 bit for bit.
 
     frame = ...  # ParticleFrame
-    save_png(render(frame), "film.png")
+    save_image(render(frame), "film.png")
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import warp as wp
 from PIL import Image, ImageDraw, ImageFont
 
-from melp_warp import optics
+from melp_warp import optics, surface
 from melp_warp.errors import require
 from melp_warp.files import replacing
-from melp_warp.frame import ParticleFrame
+from melp_warp.frame import MeshFrame, ParticleFrame
+from melp_warp.kernels import raster
 from melp_warp.kernels import render as kernels
 from melp_warp.launch import launch
+from melp_warp.surface import Surface
 
 ENVIRONMENTS = {"white": kernels.WHITE, "studio": kernels.STUDIO, "panel": kernels.PANEL}
 """Lights to see a film by; see `render`."""
@@ -33,6 +35,17 @@ _OUTLINES = {"ring": kernels.RING, "frame": kernels.FRAME}
 _TABLE_NM = optics.DISPLAY_MAX_THICKNESS
 _PICTURE_SIZES = (8, 8192)
 _FIT_POINTS = 4096
+FORMATS = {
+    ".png": "PNG",
+    ".jpg": "JPEG",
+    ".jpeg": "JPEG",
+    ".webp": "WEBP",
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".bmp": "BMP",
+}
+_QUALITY = {"PNG": {"compress_level": 4}, "JPEG": {"quality": 93}, "WEBP": {"quality": 93}}
+_FILMS = (ParticleFrame, MeshFrame, Surface)
 _CROWD = 18
 """Particles within a splat's radius: enough that points of no order leave no holes."""
 
@@ -148,6 +161,14 @@ class Camera:
             outline,
         )
 
+    def turned(self, angle: float) -> Camera:
+        """The camera gone around its target by an angle (rad), about what points up in the picture."""
+        axis = np.asarray(self.up, dtype=float) / np.linalg.norm(self.up)
+        back = np.subtract(self.eye, self.target)
+        along = axis * (axis @ back)
+        moved = along + np.cos(angle) * (back - along) + np.sin(angle) * np.cross(axis, back)
+        return replace(self, eye=tuple((np.asarray(self.target) + moved).tolist()))
+
 
 def _axes(back: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Unit vectors right, up, back of a camera."""
@@ -159,17 +180,17 @@ def _axes(back: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
 
 def _gather(what) -> tuple[np.ndarray, np.ndarray | None, float]:
     """Points [m, 3] of what is to be seen, the common normal where there is one, and the spacing of the points."""
-    frames = [what] if isinstance(what, (np.ndarray, ParticleFrame)) else list(what)
+    frames = [what] if isinstance(what, (np.ndarray, *_FILMS)) else list(what)
     if len(frames) > 1:  # films that popped leave frames without particles
-        frames = [one for one in frames if not (isinstance(one, ParticleFrame) and len(one.points) == 0)]
+        frames = [one for one in frames if not (isinstance(one, _FILMS) and len(one.points) == 0)]
     require(len(frames) > 0, "frames", frames, "at least one frame with particles")
     points, normals = [], []
     spacing = 0.0
     for frame in frames:
-        p = _checked_points(frame.points if isinstance(frame, ParticleFrame) else frame)
+        p = _checked_points(frame.points if isinstance(frame, _FILMS) else frame)
         few = p[:: max(1, len(p) // _FIT_POINTS)]
         points += [few, p[p.argmin(axis=0)], p[p.argmax(axis=0)]]
-        if isinstance(frame, ParticleFrame):
+        if isinstance(frame, _FILMS):
             normals.append(np.asarray(frame.normals, dtype=float).mean(axis=0))
             spacing = max(spacing, _spacing(frame))
     normal = np.mean(normals, axis=0) if normals else np.zeros(3)
@@ -242,7 +263,7 @@ def _spacing(frame: ParticleFrame) -> float:
     """Usual distance of neighbours, m: from the distance to the eighth nearest of some particles."""
     points = np.asarray(frame.points, dtype=np.float64)
     if len(points) < 16:
-        widths = np.asarray(frame.widths, dtype=np.float64)
+        widths = np.asarray(getattr(frame, "widths", ()), dtype=np.float64)
         size = float(np.linalg.norm(np.ptp(points, axis=0)))
         return max(float(np.median(widths)) if widths.size else 0.0, 0.1 * size, 1e-6)
     nearest = []
@@ -253,7 +274,7 @@ def _spacing(frame: ParticleFrame) -> float:
 
 
 def render(
-    frame: ParticleFrame,
+    frame: ParticleFrame | MeshFrame | Surface,
     width: int = 960,
     height: int = 960,
     camera: Camera | None = None,
@@ -263,22 +284,27 @@ def render(
     samples: int = 2,
     environment: str = "auto",
     index: float = optics.WATER_INDEX,
+    background: str = "dark",
 ) -> np.ndarray:
-    """Draw one frame; one without particles, as after the last bubble popped, is the backdrop alone.
+    """Draw one frame; one without film, as after the last bubble popped, is the backdrop alone.
 
     Args:
-        frame: the film. Points, normals, thickness and region are used; widths where there are few points.
+        frame: the film: a mesh, meshes with what belongs to them, or particles. Of particles points, normals,
+            thickness and region are used; widths where there are few points.
         width: of the picture, pixels.
         height: of the picture, pixels.
         camera: None to fit one to this frame.
         device: Warp device.
         exposure: gain on the light; 13 shows the brightest interference colour in white light as white.
-        layers: films seen behind one another at most, 1 to 12; None for 4 and, with several regions, 12.
+        layers: films seen behind one another at most: of meshes 1 to 8, None for 8; of particles 1 to 12, None for 4
+            and, with several regions, 12.
         samples: samples along a pixel's side, 1 to 4.
-        environment: "studio" (dark room, window, soft boxes), "panel" (large diffuser behind the camera), "white"
-            (light of 1 from everywhere, black backdrop: for measuring) or "auto": panel where the camera faces a
-            flat film, else studio.
+        environment: "studio" (dark room, window, soft boxes), "panel" (large diffuser behind the camera), "sky" (a day
+            outdoors, y up), a picture file with the light from all directions (sky and files for meshes only), "white"
+            (light of 1 from everywhere, black backdrop: for measuring) or "auto": panel where the camera faces a flat
+            film, else studio.
         index: refractive index of the film.
+        background: "dark", "light", "#rrggbb" or "around" (what the environment shows there); particles have "dark".
 
     Returns:
         [height, width, 3] uint8, sRGB.
@@ -287,32 +313,68 @@ def render(
         InputError: a frame that is not finite or of wrong shape, one that is empty without a camera, or an option out
             of range.
     """
-    _check_options(width, height, exposure, layers, samples, environment)
-    if camera is not None and len(frame.points) == 0:
+    frame = Surface({0: frame}) if isinstance(frame, MeshFrame) else frame
+    meshed = isinstance(frame, Surface)
+    if environment == "auto" and camera is not None:
+        environment = "panel" if camera.flat else "studio"
+    _check_options(width, height, exposure, layers, samples, environment, background, meshed)
+    device = _checked_device(device)
+    camera = camera or Camera.fit(frame, aspect=width / height)
+    if environment == "auto":
+        environment = "panel" if camera.flat else "studio"
+    view = _view(camera, width, height, samples)
+    table = _color_table(float(index), str(device))
+    if meshed:
+        films = layers or int(raster.MOST_FILMS)
+        look = (environment, background, exposure, films, table, device)
+        radiance = surface.draw(frame, view, np.array(camera.target), *look)
+    else:
+        radiance = _draw_particles(frame, view, camera, environment, exposure, layers, table, device)
+    return _develop(radiance, samples, environment == "white")
+
+
+def _draw_particles(frame: ParticleFrame, view, camera: Camera, environment: str, exposure, layers, table, device):
+    """Radiance of each sample of a picture of particles."""
+    if len(frame.points) == 0:
         frame = _out_of_sight(camera)
     data = _checked_frame(frame)
     if layers is None:
         layers = 4 if np.ptp(data["region"]) == 0 else int(kernels.MAX_LAYERS)
-    camera = camera or Camera.fit(frame, aspect=width / height)
-    device = _checked_device(device)
-    if environment == "auto":
-        environment = "panel" if camera.flat else "studio"
-    view = _view(camera, width, height, samples)
-    wire = _wire(camera, width, height, environment)
+    wire = _wire(camera, view.columns // view.samples, view.rows // view.samples, environment)
     splats = _splats(frame, data, camera, wire.kind != kernels.NO_OUTLINE, device)
     begins, ends, members = _bin_tiles(view, splats, device)
     radiance = wp.empty((view.rows, view.columns), dtype=wp.vec3, device=device)
-    arguments = [view, _look(environment, exposure, layers), wire]
-    arguments += [splats, begins, ends, members, _color_table(float(index), str(device))]
-    _launch_all(kernels.draw_samples, len(begins) * int(kernels.TILE) ** 2, arguments, radiance, device)
-    picture = wp.empty((height, width), dtype=wp.vec3, device=device)
-    glare = wp.empty_like(picture)
-    plain = environment == "white"
-    launch(kernels.develop, height * width, [radiance, samples, plain], [picture, glare], device)
+    inputs = [view, _look(environment, exposure, layers), wire, splats, begins, ends, members, table]
+    surface.share(kernels.draw_samples, len(begins) * int(kernels.TILE) ** 2, inputs, [radiance], device)
+    return radiance
+
+
+def _develop(radiance: wp.array, samples: int, plain: bool) -> np.ndarray:
+    """The picture of the radiance of its samples: film response, mean about each pixel, a glow about what is bright."""
+    device = radiance.device
+    rows, columns = radiance.shape
+    response, over = wp.empty_like(radiance), wp.empty_like(radiance)
+    surface.share(raster.respond, rows * columns, [radiance, plain], [response, over], device)
+    weights = wp.array(_weights(samples), dtype=wp.float32, device=device)
+    picture, glare = (wp.empty((rows // samples, columns // samples), dtype=wp.vec3, device=device) for _ in range(2))
+    for source, target in ((response, picture), (over, glare)):
+        surface.share(raster.filter_samples, target.size, [source, weights, samples], [target], device)
     if plain:
         return _encode(picture.numpy(), 0.5)
-    glow = _blurred(glare.numpy(), max(width, height) / 90.0)
+    height, width = picture.shape
+    glow = _glow(glare.numpy(), max(width, height) / 90.0)
     return _encode(picture.numpy() + 0.06 * glow, _dither(width, height))
+
+
+@lru_cache(maxsize=8)
+def _weights(samples: int) -> np.ndarray:
+    """[k, k] weights of the samples about a pixel, a Gaussian of their distance from its middle."""
+    reach = samples // 2
+    k = np.arange(-reach, samples + reach)
+    sub = (k % samples + 0.5) / samples - 0.5
+    x = (k[None, :] + 0.5 + sub[:, None]) / samples - 0.5
+    y = (k[:, None] + 0.5 - sub[None, :]) / samples - 0.5
+    return np.exp(-2.6 * (x**2 + y**2)).astype(np.float32)
 
 
 def _out_of_sight(camera: Camera) -> ParticleFrame:
@@ -323,20 +385,27 @@ def _out_of_sight(camera: Camera) -> ParticleFrame:
     return ParticleFrame(behind[None].astype(np.float32), 0.0 * up, zero.astype(np.int64), one, up, one, zero, zero)
 
 
-def _check_options(width, height, exposure, layers, samples, environment) -> None:
+def _check_options(width, height, exposure, layers, samples, environment, background, meshed) -> None:
     """`InputError` for an option of `render` that is out of range."""
     low, high = _PICTURE_SIZES
     for name, value, least, most in (
         ("width", width, low, high),
         ("height", height, low, high),
-        ("layers", 4 if layers is None else layers, 1, int(kernels.MAX_LAYERS)),
+        ("layers", 4 if layers is None else layers, 1, int(raster.MOST_FILMS if meshed else kernels.MAX_LAYERS)),
         ("samples", samples, 1, 4),
     ):
         whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
         require(whole and least <= value <= most, name, value, f"a whole number from {least} to {most}")
     ok = isinstance(exposure, (int, float)) and np.isfinite(exposure) and exposure > 0.0
     require(ok, "exposure", exposure, "a number above 0")
-    require(environment in ("auto", *ENVIRONMENTS), "environment", environment, f"auto, {', '.join(ENVIRONMENTS)}")
+    if meshed:
+        if environment != "auto":
+            surface.check_light(environment)
+        surface.ground_color(background)
+    else:
+        known = ("auto", *ENVIRONMENTS)
+        require(environment in known, "environment", environment, f"{', '.join(known)} for particles without a mesh")
+        require(background == "dark", "background", background, "dark for particles without a mesh")
 
 
 def _checked_device(device: str):
@@ -445,27 +514,21 @@ def _bin_tiles(view: kernels.View, splats: wp.array, device) -> tuple[wp.array, 
     return tile_begins, tile_ends, members
 
 
-def _launch_all(kernel: wp.Kernel, count: int, inputs: list, output: wp.array, device) -> None:
-    """Launch `kernel` over `count` threads; on a CPU in parts, on all cores. Each thread writes its own output."""
-    workers = min(os.cpu_count() or 1, 16) if device.is_cpu else 1
-    part = -(-count // (8 * workers)) if workers > 1 else count
-
-    def launch_part(first):
-        launch(kernel, min(part, count - first), [*inputs, first], [output], device)
-
-    starts = range(0, count, part)
-    if workers == 1:
-        for first in starts:
-            launch_part(first)
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(launch_part, starts))
-
-
 @lru_cache(maxsize=4)
 def _color_table(index: float, device: str) -> wp.array:
     table = optics.color_table(_TABLE_NM, 2048, 64, index)
     return wp.array(table, dtype=wp.vec3, device=device)
+
+
+def _glow(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Gaussian blur of [h, w, 3] by `sigma` pixels, of means of blocks where it is wide."""
+    height, width = image.shape[:2]
+    block = max(1, int(sigma / 3.0))
+    padded = np.pad(image, ((0, -height % block), (0, -width % block), (0, 0)), mode="edge")
+    small = padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block, 3).mean(axis=(1, 3))
+    blurred = _blurred(small, sigma / block)
+    channels = [Image.fromarray(blurred[..., k]).resize(padded.shape[1::-1], Image.BILINEAR) for k in range(3)]
+    return np.stack([np.asarray(channel) for channel in channels], axis=-1)[:height, :width]
 
 
 def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
@@ -493,16 +556,23 @@ def _encode(linear: np.ndarray, offset: float | np.ndarray) -> np.ndarray:
     return (255.0 * curve + offset).clip(0.0, 255.0).astype(np.uint8)
 
 
-def save_png(image: np.ndarray, path: str | os.PathLike) -> None:
-    """Write a picture [h, w, 3] uint8 as PNG; a file of this name is replaced at once or not at all.
+def save_image(image: np.ndarray, path: str | os.PathLike) -> None:
+    """Write a picture [h, w, 3] uint8 in the format of the file's ending; a file of this name is replaced as a whole.
 
     Raises:
-        InputError: `image` is not such a picture.
+        InputError: `image` is not such a picture, or the ending is none of `FORMATS`.
         OSError: the file cannot be written.
     """
-    image = _checked_image(image)
+    image, kind = _checked_image(image), check_format(path)
     with replacing(path) as temporary:
-        Image.fromarray(image).save(temporary, format="PNG")
+        Image.fromarray(image).save(temporary, format=kind, **_QUALITY.get(kind, {}))
+
+
+def check_format(path: str | os.PathLike) -> str:
+    """Pillow's name of the format of a file, by its ending; `InputError` if there is none."""
+    ending = Path(path).suffix.lower()
+    require(ending in FORMATS, "picture", str(path), f"a file ending in {', '.join(FORMATS)}")
+    return FORMATS[ending]
 
 
 def _checked_image(image: object) -> np.ndarray:

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from melp_warp.estimate import Estimate
     from melp_warp.frame import ParticleFrame
     from melp_warp.notices import Notices
+    from melp_warp.pictures import Shot
     from melp_warp.registry import SceneScript
     from melp_warp.simulation import Simulation
 
 LOG = "run.jsonl"
 CHECKPOINT = "checkpoint.npz"
-PREVIEW = "preview.png"
 CONTACT = "contact.png"
 CONTACT_FRAMES = 9
 PREVIEW_SIZE, CONTACT_SIZE = 800, 400
@@ -255,7 +255,7 @@ class _Output:
     """
 
     def __init__(self, plan: Plan, simulation: Simulation):
-        from melp_warp.usd import CacheWriter, surface_prim
+        from melp_warp.usd import CacheWriter, store_floors, surface_prim
 
         self._folder, self._plan = plan.out, plan
         self.empty_from: int | None = None
@@ -270,6 +270,8 @@ class _Output:
         }
         origin = simulation.particles(shown).origin
         self._rims = [rim - np.array(origin) for rim in plan.scene.shape.edges()]
+        floors = [wall for wall in getattr(plan.scene.shape, "walls", ()) if not wall.pops]
+        metadata |= store_floors([(np.subtract(wall.point, origin), wall.normal) for wall in floors])
         prims = [*self._sets, *(surface_prim(k) for k in _all_regions(plan.scene) if plan.mesh)]
         self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, prims, origin=origin, rims=self._rims)
 
@@ -370,36 +372,12 @@ def _say_finished(folder: Path, images: list[Path], notices: Notices, empty_from
         print(f"Noticed: {notices.summary()}")
 
 
-def draw_frame(folder: Path, frame: int | None, out: Path | None, size: int, device: str = "cpu") -> Path:
-    """Draw a frame of a cache to a PNG file.
+def draw(shot: Shot) -> list[Path]:
+    """Draw frames of a cache; see `melp_warp.pictures.shoot`."""
+    _start_warp(shot.device)
+    from melp_warp import pictures
 
-    Args:
-        folder: folder of the cache.
-        frame: its number; None for the last.
-        out: file to write; None for preview.png in the folder.
-        size: width and height, pixels.
-        device: Warp's name of the device.
-
-    Returns:
-        The file.
-
-    Raises:
-        InputError: there is no such frame, the size is out of range or the file cannot be written.
-    """
-    _start_warp(device)
-    from melp_warp import preview
-    from melp_warp.apart import read_frame
-    from melp_warp.usd import list_frames
-
-    frames = list_frames(folder)
-    require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
-    frame = frames[-1] if frame is None else frame
-    require(frame in frames, "--frame", frame, f"from {frames[0]} to {frames[-1]}")
-    require(8 <= size <= 8192, "--size", size, "from 8 to 8192 pixels")
-    out = out or folder / PREVIEW
-    image = preview.render(read_frame(folder, frame), size, size, _camera(folder, frames), device)
-    preview.save_png(image, out)
-    return out
+    return pictures.shoot(shot)
 
 
 def mesh_cache(folder: Path, triangles: int | None = None) -> list[str]:
@@ -417,26 +395,24 @@ def mesh_cache(folder: Path, triangles: int | None = None) -> list[str]:
     """
     _check_triangles(triangles)
     _start_warp("cpu")
-    from melp_warp.apart import read_frame, read_prims
+    from melp_warp.apart import read_frame, read_root
     from melp_warp.mesh import make_meshes
-    from melp_warp.usd import add_meshes, list_frames, read_metadata, read_rims
+    from melp_warp.usd import add_meshes, list_frames
 
-    read_prims(folder)  # USD outlives the root
-    metadata, frames = read_metadata(folder), list_frames(folder)
+    root, frames = read_root(folder), list_frames(folder)
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
-    film = metadata.get("particles", {}).get("Film", "l" if metadata.get("parameters", {}).get("l_per_e", 0) else "e")
     require(
-        film == "e" or "FilmE" in metadata["prims"],
+        not root["with_l"] or "FilmE" in root["prims"],
         "DIR",
         str(folder),
         "a cache with E, which meshes are made of: run again with --mesh, or with --export both",
     )
-    source = "FilmE" if "FilmE" in metadata["prims"] else "Film"
+    source = "FilmE" if "FilmE" in root["prims"] else "Film"
     regions = sorted({int(k) for frame in frames for k in np.unique(read_frame(folder, frame, source).region)})
-    rims, problems = read_rims(folder), []
+    rims, problems = [np.array(rim) for rim in root["rims"]], []
 
     def make(frame: int):
-        lagrangian = read_frame(folder, frame) if film == "l" else None
+        lagrangian = read_frame(folder, frame) if root["with_l"] else None
         meshes, found = make_meshes(read_frame(folder, frame, source), lagrangian, rims, triangles)
         problems.extend(f"frame {frame}: {problem}" for problem in found)
         return meshes
@@ -465,44 +441,26 @@ def _renew_sums(folder: Path, sums: Mapping[str, str]) -> None:
 
 def _write_stage(folder: Path) -> None:
     """A layer with a camera and lights for the run."""
-    from melp_warp.usd import list_frames, write_stage
+    from melp_warp.pictures import Cache
+    from melp_warp.usd import write_stage
 
-    camera = _camera(folder, list_frames(folder))
+    camera = Cache(folder).camera()
     write_stage(folder, camera.eye, camera.target, camera.up, camera.fov)
 
 
 def _draw_run(plan: Plan) -> list[Path]:
     """Draw the last frame, and a sheet of frames spread over the run."""
     from melp_warp import preview
-    from melp_warp.apart import read_frame
-    from melp_warp.usd import list_frames
+    from melp_warp.pictures import PREVIEW, Cache, spread
 
-    last = draw_frame(plan.out, None, None, PREVIEW_SIZE, plan.device)
-    frames = list_frames(plan.out)
-    camera = _camera(plan.out, frames)
-    picked = _picked(frames)
-    images = [
-        preview.render(read_frame(plan.out, frame), CONTACT_SIZE, CONTACT_SIZE, camera, plan.device) for frame in picked
-    ]
-    sheet = plan.out / CONTACT
-    preview.save_png(
-        preview.contact_sheet(images, [f"{(frame - frames[0]) / plan.scene.fps:.3g} s" for frame in picked]), sheet
-    )
+    cache = Cache(plan.out)
+    camera, last, sheet = cache.camera(), plan.out / PREVIEW, plan.out / CONTACT
+    preview.save_image(preview.render(cache.film(cache.frames[-1]), *[PREVIEW_SIZE] * 2, camera, plan.device), last)
+    picked = spread(cache.frames, CONTACT_FRAMES)
+    images = [preview.render(cache.film(frame), *[CONTACT_SIZE] * 2, camera, plan.device) for frame in picked]
+    times = [f"{(frame - cache.frames[0]) / plan.scene.fps:.3g} s" for frame in picked]
+    preview.save_image(preview.contact_sheet(images, times), sheet)
     return [last, sheet]
-
-
-def _camera(folder: Path, frames: list[int]):
-    """One camera for all frames of a run."""
-    from melp_warp.apart import read_frame
-    from melp_warp.preview import Camera
-
-    return Camera.fit([read_frame(folder, frame) for frame in _picked(frames)])
-
-
-def _picked(frames: list[int]) -> list[int]:
-    """Frames spread evenly, the first and the last among them."""
-    count = min(CONTACT_FRAMES, len(frames))
-    return [frames[round(i * (len(frames) - 1) / max(1, count - 1))] for i in range(count)]
 
 
 def _start_warp(device: str) -> None:

@@ -699,6 +699,43 @@ def read_metadata(directory: str | os.PathLike) -> dict:
     return data | times | {"prims": prims}
 
 
+def holds_l(metadata: Mapping) -> tuple[bool, int]:
+    """Whether /World/Film of a cache holds L rather than E, and how many L there are an E, from its metadata."""
+    particles, parameters = metadata.get("particles"), metadata.get("parameters")
+    count = parameters.get("l_per_e", 0) if isinstance(parameters, dict) else 0
+    count = int(count) if isinstance(count, (int, float)) and 0 <= count <= LARGEST else 0
+    film = particles.get("Film") if isinstance(particles, dict) else None
+    return (film == "l" if film in ("l", "e") else count > 0), max(count, 1)
+
+
+def store_floors(floors: Sequence[tuple[Sequence[float], Sequence[float]]]) -> dict:
+    """Point and normal of each floor as metadata, {} for none; see `floors_of`."""
+    named = {}
+    for k, (point, normal) in enumerate(floors):
+        named[f"floor_{k}"] = {
+            f"{name}_{axis}": float(v)
+            for name, vector in (("point", point), ("normal", normal))
+            for axis, v in zip("xyz", vector, strict=True)
+        }
+    return {"floors": named} if named else {}
+
+
+def floors_of(metadata: Mapping) -> list[tuple[list[float], list[float]]]:
+    """Point (m, from the place of the prims) and unit normal of each plate that the film stands on."""
+    found = []
+    named = metadata.get("floors")
+    for _, floor in sorted(named.items()) if isinstance(named, dict) else ():
+        numbers = [
+            floor.get(f"{name}_{axis}") if isinstance(floor, dict) else None
+            for name in ("point", "normal")
+            for axis in "xyz"
+        ]
+        if all(isinstance(v, float) and abs(v) <= LARGEST for v in numbers) and any(numbers[3:]):
+            normal = np.array(numbers[3:]) / np.linalg.norm(numbers[3:])
+            found.append((numbers[:3], normal.tolist()))
+    return found
+
+
 def check_sizes(path: Path, frame: ParticleFrame | MeshFrame) -> None:
     """Refuse numbers with which nothing can be drawn or measured, though they can be stored.
 

@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from melp_warp.cli import main as melp_warp
-from melp_warp.preview import Camera, contact_sheet, render, save_png
+from melp_warp.preview import Camera, contact_sheet, render, save_image
 from melp_warp.usd import list_frames, read_frame
 
 FIGURES = Path(__file__).parent.parent / "docs" / "figures"
@@ -41,7 +41,7 @@ def draw(name: str, size: int) -> None:
         images = [render(frame, size, size, camera) for frame in frames]
     FIGURES.mkdir(parents=True, exist_ok=True)
     path = FIGURES / f"{name}.png"
-    save_png(contact_sheet(images, columns=3), path)
+    save_image(contact_sheet(images, columns=3), path)
     print(path)
 
 

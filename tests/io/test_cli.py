@@ -17,6 +17,7 @@ from melp_warp.check import check_cache
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.frame import ParticleFrame
 from melp_warp.notices import Notices
+from melp_warp.pictures import spread
 from melp_warp.usd import list_frames, read_frame, read_metadata
 
 FEW = ["--set", "e_count=60", "l_per_e=2"]
@@ -58,7 +59,7 @@ class StandIn:
             samples.points.astype(np.float32),
             np.zeros((n, 3), np.float32),
             np.arange(n, dtype=np.int64),
-            np.full(n, 1e-3, np.float32),
+            np.sqrt(4.0 / np.pi * samples.area).astype(np.float32),
             samples.normals.astype(np.float32),
             np.full(n, self.scene.material.thickness * 1e9, np.float32),
             np.zeros(n, np.int32),
@@ -205,9 +206,9 @@ def test_preview_draws_the_last_frame_and_a_contact_sheet(tmp_path, monkeypatch)
 
 
 def test_picked_frames_span_the_run():
-    assert runner._picked([0]) == [0]
-    assert runner._picked([0, 1, 2]) == [0, 1, 2]
-    assert runner._picked(list(range(301))) == [0, 38, 75, 112, 150, 188, 225, 262, 300]
+    assert spread([0], 9) == [0]
+    assert spread([0, 1, 2], 9) == [0, 1, 2]
+    assert spread(list(range(301)), 9) == [0, 38, 75, 112, 150, 188, 225, 262, 300]
 
 
 # --- bad input -------------------------------------------------------------------------------------------------------
@@ -513,6 +514,62 @@ def test_preview_command(tmp_path, capsys):
     one_line(capsys, "--size must be from 8 to 8192 pixels, got 4")
     assert cli.main(["preview", str(out), "--size", "32", "--out", str(tmp_path / "no" / "x.png")]) == 2
     one_line(capsys, "No such file or directory")
+
+
+def test_preview_of_several_frames(tmp_path, capsys):
+    out = tmp_path / "cache"
+    assert run("giant_bubble", "--frames", 4, "--quiet", "--out", out, "--set", "e_count=60", "l_per_e=8") == 0
+    preview = ["preview", str(out), "--size", "40x24"]
+    assert cli.main([*preview, "--frames", ":3:2", "--out", str(tmp_path / "f.##.jpg"), "--orbit", "90"]) == 0
+    names = [tmp_path / f"f.{n:02d}.jpg" for n in (0, 2)]
+    assert capsys.readouterr().out.split() == [str(name) for name in names]
+    from PIL import Image
+
+    first, second = (np.asarray(Image.open(name), int) for name in names)
+    assert first.shape == (24, 40, 3)
+    assert np.abs(first - second).max() > 20  # from another side
+    movie = tmp_path / "film.gif"
+    assert cli.main([*preview, "--movie", str(movie), "--background", "light", "--orbit", "90"]) == 0
+    with Image.open(movie) as picture:
+        assert (picture.n_frames, picture.size) == (5, (40, 24))
+    assert cli.main([*preview, "--particles", "--out", str(tmp_path / "p.png")]) == 0
+
+
+def test_preview_makes_a_video(tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    out, movie = tmp_path / "cache", tmp_path / "film.mp4"
+    assert run("giant_bubble", "--frames", 4, "--quiet", "--out", out, *FEW) == 0
+    assert cli.main(["preview", str(out), "--size", "64x48", "--movie", str(movie), "--fps", "12"]) == 0
+    assert imageio_ffmpeg.count_frames_and_secs(str(movie)) == (5, pytest.approx(5 / 12, abs=0.02))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--frames", "0:9"], "--frames must be from 0 to 2, got 9"),
+        (["--frames", "0:1"], "--out must be a name with #"),
+        (["--frames", "2:0"], "FIRST:LAST[:STEP]"),
+        (["--frames", "x"], "argument --frames: must be A:B"),
+        (["--frame", "1", "--frames", "0:1"], "--frames must be left out with --frame"),
+        (["--size", "4x"], "--size must be from 8 to 8192"),
+        (["--size", "axb"], "argument --size: must be N or WxH"),
+        (["--from", "1,2"], "argument --from: must be three numbers"),
+        (["--out", "film.tga"], "picture must be a file ending in .png"),
+        (["--movie", "film.avi"], "--movie must be a file ending in .gif"),
+        (["--movie", "film.gif", "--out", "x.png"], "--out must be left out with --movie"),
+        (["--movie", "film.gif", "--fps", "0"], "--fps must be above 0"),
+        (["--environment", "moon"], "environment must be"),
+        (["--background", "puce"], "background must be"),
+        (["--fov", "180"], "fov must be"),
+        (["--orbit", "nan"], "--orbit must be"),
+    ],
+)
+def test_bad_options_of_preview(options, words, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("giant_bubble", "--frames", 2, "--quiet", "--out", "cache", *FEW) == 0
+    assert cli.main(["preview", "cache", *options]) == 2
+    one_line(capsys, words)
+    assert sorted(os.listdir()) == ["cache"]
 
 
 def test_preview_says_nothing_else(tmp_path):

@@ -192,7 +192,7 @@ def files(tmp_path, monkeypatch):
 @pytest.mark.parametrize("command", OWN, ids=of)
 def test_a_command_is_taken_as_it_stands(command, files, monkeypatch, capsys):
     """Options, keys, values and ranges are right and the scene is built; nothing is simulated."""
-    for work in ("run", "estimate", "trade", "draw_frame"):
+    for work in ("run", "estimate", "trade", "draw"):
         monkeypatch.setattr(runner, work, lambda *_, **__: 0)
     arguments = own_arguments(command)
     try:

@@ -7,8 +7,12 @@ from PIL import Image
 from melp_warp import optics
 from melp_warp.errors import InputError
 from melp_warp.frame import ParticleFrame
-from melp_warp.preview import Camera, contact_sheet, render, save_png
+from melp_warp.mesh import make_meshes, thin_out
+from melp_warp.mesh_validation import frame_of, problems_of, unsettled
+from melp_warp.preview import FORMATS, Camera, contact_sheet, render, save_image
 from melp_warp.shapes import Disc, Rectangle, Sphere
+from melp_warp.surface import Surface, borders
+from tests.foams import cluster
 
 RADIUS = 0.1
 
@@ -266,11 +270,11 @@ def test_png_is_written_whole(tmp_path):
     image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
     path = tmp_path / "film.png"
     path.write_text("old")
-    save_png(image, path)
+    save_image(image, path)
     np.testing.assert_array_equal(np.asarray(Image.open(path)), image)
     assert [p.name for p in tmp_path.iterdir()] == ["film.png"]
     with pytest.raises(InputError, match=r"^image must be"):
-        save_png(image.astype(float), path)
+        save_image(image.astype(float), path)
 
 
 def test_contact_sheet_sets_pictures_in_a_grid():
@@ -297,3 +301,208 @@ def test_a_frame_without_particles_is_the_backdrop():
     assert white(frame, camera=camera).max() > 0.0
     with pytest.raises(InputError, match="points"):
         render(ParticleFrame.empty(), 64, 64)
+
+
+# --- meshes ----------------------------------------------------------------------------------------------------------
+
+
+def meshed(shape=None, count=1000, thickness=300.0, rims=()):
+    few, many = unsettled(Sphere(RADIUS), count, 4, thickness=lambda x: thickness)
+    if shape is not None:
+        few, many = frame_of(shape.sample(count), thickness), frame_of(shape.sample(4 * count, 0.5), thickness)
+    meshes, problems = make_meshes(few, many, rims)
+    assert problems == []
+    return meshes[0]
+
+
+@pytest.mark.parametrize("thickness", [10.0, 104.0, 333.0, 640.0])
+def test_a_flat_mesh_has_the_colour_of_the_optics(thickness):
+    shape = Rectangle(0.16, 0.09)
+    mesh = meshed(shape, 300, thickness, shape.edges())
+    image = white(mesh, 33, camera=front(mesh), exposure=5.0)
+    expected = encode(5.0 * optics.interference_color(thickness, 1.0))
+    assert np.abs(image[16, 16] - expected).max() <= 1.5
+
+
+def test_a_mesh_has_the_colour_of_the_true_angle():
+    """Both walls of a bubble at every distance from its middle: R + (1 - R)^2 R at the angle of the ray."""
+    mesh, size = meshed(count=2000, thickness=311.0), 129
+    camera = front(mesh)
+    image = white(mesh, size, camera=camera, exposure=2.0, samples=3)[64]
+    slope = np.tan(0.5 * np.radians(camera.fov))
+    x = np.abs(2.0 * (np.arange(size) + 0.5) / size - 1.0) * slope
+    away = camera.eye[2]
+    sine = away * x / np.sqrt(1.0 + x**2) / RADIUS  # of the angle between ray and normal, by the law of sines
+    inside = sine < 0.9
+    r = optics.interference_color(311.0, np.sqrt(1.0 - sine[inside] ** 2))
+    assert inside.sum() > 90
+    assert np.abs(image[inside] - encode(2.0 * (r + (1.0 - r) ** 2 * r))).max() <= 3.0
+
+
+@pytest.mark.parametrize("count", [200, 3000])
+def test_a_mesh_has_neither_holes_nor_seams(count):
+    """Every ray through a bubble meets exactly two films, wherever edges and corners of triangles lie."""
+    mesh, size = meshed(count=count, thickness=104.0), 257
+    camera = front(mesh)
+    image = white(mesh, size, camera=camera, exposure=4.0, samples=1)
+    one = encode(4.0 * optics.interference_color(104.0, 1.0)).max()
+    two = white(mesh, 33, camera=camera, exposure=4.0)[16, 16].max()
+    y, x = np.mgrid[:size, :size] + 0.5 - 0.5 * size
+    inside = image[np.hypot(x, y) < 0.6 * 0.5 * size / 1.18].max(axis=1)
+    assert one < two - 20.0
+    assert np.abs(inside - two).max() < 0.25 * (two - one)
+
+
+def test_a_mesh_is_as_large_as_its_projection():
+    mesh, size = meshed(count=200), 160
+    camera = front(mesh)
+    covered = (white(mesh, size, camera=camera, samples=3).max(axis=2) >= 188).sum()
+    angle = np.arcsin(RADIUS / camera.eye[2])
+    expected = 0.5 * size * np.tan(angle) / np.tan(0.5 * np.radians(camera.fov))
+    assert abs(np.sqrt(covered / np.pi) - expected) < 0.5
+
+
+def flat_pair(gap, lean=0.0, thickness=150.0):
+    """Two squares back to back, of two regions, `gap` apart, the rear one leaning (rad)."""
+    shape = Rectangle(0.1, 0.1)
+    one = meshed(shape, 200, thickness, shape.edges())
+    two = meshed(shape, 200, thickness, shape.edges())
+    behind = gap + np.tan(lean) * np.maximum(two.points[:, :1], 0.0)
+    two.points = two.points - np.float32([0.0, 0.0, 1.0]) * behind
+    two.normals, two.faces = -two.normals, two.faces[:, ::-1].copy()
+    return Surface({0: one, 1: two}, (), ())
+
+
+def test_two_sheets_that_touch_are_one_film():
+    """As thick as both; a fifth of the radius of a bubble of their area apart they are two."""
+    radius = 0.1 / np.sqrt(4.0 * np.pi)
+    film = flat_pair(1e-4)
+    camera = front(film)
+    image = white(film, 33, camera=camera, exposure=5.0)
+    assert np.abs(image[16, 16] - encode(5.0 * optics.interference_color(300.0))).max() <= 1.5
+    r = optics.interference_color(150.0)
+    image = white(flat_pair(0.2 * radius), 33, camera=camera, exposure=5.0)
+    assert np.abs(image[16, 16] - encode(5.0 * (r + (1.0 - r) ** 2 * r))).max() <= 2.0
+
+
+def test_what_parts_does_so_smoothly():
+    """No tear where two sheets part: along a row of pixels one film goes over into two."""
+    film = flat_pair(1e-5, 0.02)
+    row = white(film, 257, camera=front(film, fov=2.0), exposure=5.0)[64, 30:-30]
+    r, whole = optics.interference_color(150.0), optics.interference_color(300.0)
+    change = encode(5.0 * (r + (1.0 - r) ** 2 * r)) - encode(5.0 * whole)
+    assert np.abs(row[0] - encode(5.0 * whole)).max() <= 2.0
+    assert np.abs(row[-1] - row[0] - change).max() <= 4.0
+    assert np.abs(change).max() > 40.0
+    assert np.abs(np.diff(row, axis=0)).max() < 0.15 * np.abs(change).max()
+
+
+def test_borders_run_where_films_meet():
+    """Two half spheres on one disc have one border, the disc's circle."""
+    meshes, _ = make_meshes(cluster(2, 1000))
+    film = Surface(meshes)
+    radii = film.radii()
+    lines, width, _ = borders(film, radii)
+    middle = 0.5 * (lines[:, 0] + lines[:, 1])
+    center = middle.mean(axis=0)
+    length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
+    distance = np.linalg.norm(middle - center, axis=1)
+    radius = np.average(distance, weights=length)
+    assert np.sqrt(np.average((distance - radius) ** 2, weights=length)) < 0.03 * radius
+    assert length.sum() / (2.0 * np.pi * radius) == pytest.approx(2.0, rel=0.1)  # each of the two bubbles tells it
+    assert (width < 0.02 * radii.min()).all()
+    alone, _, _ = borders(Surface({0: meshed()}), np.array([RADIUS]))
+    assert len(alone) == 0
+
+
+def test_a_wire_hides_what_is_behind_it():
+    shape = Disc(RADIUS)
+    mesh = meshed(shape, 400, 300.0, shape.edges())
+    film = Surface({0: mesh}, shape.edges())
+    camera = Camera.fit(film)
+    with_wire, without = (render(one, 200, 200, camera).astype(int) for one in (film, mesh))
+    assert 200 < (np.abs(with_wire - without).max(axis=2) > 20).sum() < 4000
+
+
+@pytest.mark.parametrize(
+    ("background", "low", "high"), [("dark", 0, 25), ("light", 190, 240), ("#405060", 60, 100), ("around", 1, 255)]
+)
+def test_grounds(background, low, high):
+    image = render(meshed(count=200), 64, 64, background=background)
+    corner = image[2:6, 2:6].mean()
+    assert low <= corner <= high
+    if background == "#405060":
+        middle = render(Surface({}), 33, 33, Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)), background=background)[16, 16]
+        assert np.abs(middle.astype(int) - [0x40, 0x50, 0x60]).max() <= 2
+
+
+def test_a_picture_lights_the_film(tmp_path):
+    """A light that is red on the left and blue on the right is seen so in the film."""
+    picture = np.zeros((64, 128, 3), np.uint8)
+    picture[:, :64, 0] = 255
+    picture[:, 64:, 2] = 255
+    path = tmp_path / "light.png"
+    save_image(picture, path)
+    mesh = meshed(count=500, thickness=104.0)
+    image = render(mesh, 96, 96, front(mesh), environment=str(path), layers=1).astype(float)
+    left, right = image[30:66, 20:40].mean(axis=(0, 1)), image[30:66, 56:76].mean(axis=(0, 1))
+    assert left[0] > 1.5 * left[2]
+    assert right[2] > 1.5 * right[0]
+
+
+def test_a_floor_is_behind_and_hides_what_is_below():
+    mesh = meshed(count=300)
+    camera = front(mesh)
+    middle = ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    camera = Camera((0.0, 0.3, camera.eye[2]), camera.target, fov=camera.fov)
+    with_floor, without = (render(Surface({0: mesh}, (), one), 96, 96, camera) for one in ((middle,), ()))
+    np.testing.assert_array_equal(with_floor[24:40, 40:56] > 0, without[24:40, 40:56] > 0)
+    assert with_floor[70:76, 40:56].astype(int).sum() < without[70:76, 40:56].astype(int).sum()
+
+
+def test_pictures_of_meshes_are_the_same_each_time():
+    mesh = meshed(count=300)
+    np.testing.assert_array_equal(render(mesh, 80, 60), render(mesh, 80, 60))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("layers", 9), ("environment", "moon"), ("background", "#12"), ("background", "grey")]
+)
+def test_bad_options_of_meshes_are_refused(field, value):
+    with pytest.raises(InputError, match=rf"^{field} must be"):
+        render(meshed(count=100), 16, 16, **{field: value})
+
+
+@pytest.mark.parametrize("l_per_e", [1, 4, 16])
+def test_a_mesh_of_l_alone_is_closed(l_per_e):
+    """As many of the L as there would be E, evenly spread, carry it, whatever the order of the L."""
+    s = Sphere(RADIUS).sample(400 * l_per_e)
+    p = s.points + np.random.default_rng(2).normal(scale=0.5 * np.sqrt(s.area[0]), size=s.points.shape)
+    s.normals = p / np.linalg.norm(p, axis=1, keepdims=True)
+    s.points = RADIUS * s.normals
+    many = frame_of(s, 300.0)
+    few = thin_out(many, l_per_e)
+    assert 200 < len(few.points) < 600
+    meshes, problems = make_meshes(few, many)
+    assert problems == []
+    assert problems_of(meshes[0]) == []
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_pictures_are_of_the_format_of_their_ending(ending, tmp_path):
+    path = tmp_path / f"film{ending}"
+    save_image(np.full((12, 16, 3), 90, np.uint8), path)
+    with Image.open(path) as image:
+        assert image.format == FORMATS[ending]
+        assert image.size == (16, 12)
+
+
+def test_an_unknown_format_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"picture must be a file ending in \.png"):
+        save_image(np.zeros((4, 4, 3), np.uint8), tmp_path / "film.xyz")
+
+
+def test_a_camera_goes_around():
+    camera = Camera((0.0, 0.1, 1.0), (0.0, 0.0, 0.0))
+    assert camera.turned(0.5 * np.pi).eye == pytest.approx((1.0, 0.1, 0.0))
+    assert camera.turned(2.0 * np.pi).eye == pytest.approx(camera.eye)
