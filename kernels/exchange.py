@@ -116,6 +116,7 @@ def exchange_l(
     # outputs
     region_l: wp.array(dtype=wp.int32),
     eta_l: wp.array(dtype=float),
+    circulation_l: wp.array(dtype=float),
 ):
     """Let L change to the region across the partition with the probabilities (27) and (28). They keep all they carry.
 
@@ -138,6 +139,7 @@ def exchange_l(
         dt: [1] step that (27) looks ahead, s.
         region_l: [n_l] region of each L.
         eta_l: [n_l] m.
+        circulation_l: [n_l] m^2/s, about a normal that is the other way on the other side; null where none is carried.
     """
     i = wp.tid()
     p = x_l[i]
@@ -154,3 +156,5 @@ def exchange_l(
         if draw < chance[0] * (toward + thinner):
             region_l[i] = region[j]
             eta_l[i] = eta[j]
+            if circulation_l:
+                circulation_l[i] = -circulation_l[i]

@@ -4,6 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.gas import GAUGE, INCREMENT
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
 
@@ -75,6 +76,43 @@ def film_force_e(
     stretch = 1.0 - kappa[i] * step[0] * (wp.dot(u[i] - frame[0], n) - swelling[0])
     force[i] = wp.clamp(stretch, 0.5, 2.0) * (2.0 * sigma * kappa[i] + float(gas[0, GAUGE]))
     external[i] = mass[i] / area[i] * wp.dot(body[i], n)
+
+
+@wp.kernel
+def add_turning_e(
+    normal: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    gradient: wp.array(dtype=wp.vec3),
+    # outputs
+    external: wp.array(dtype=float),
+):
+    """Add the centrifugal force of liquid that flows along a bent film, m w.(w.grad_s n) a unit of area.
+
+    With w the velocity along the film, seen from the film as a whole, liquid on a path along the film has the normal
+    acceleration d(u.n)/dt + 2 w.grad(u.n) - w.(w.grad_s n), d/dt at an E: on a sphere w^2/R of it is not the surface's.
+    Its second term, small where the film swings slowly against the flow, is left out.
+
+    Args:
+        normal: [n] unit normals.
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        u: [n] m/s.
+        frame: [1] velocity of the film as a whole, m/s.
+        rows: E:E neighbours.
+        gradient: [pairs] surface-gradient weights, 1/m.
+        external: [n_e] Pa.
+    """
+    i = rows.first + wp.tid()
+    n = normal[i]
+    w = tangential(u[i] - frame[0], n)
+    turn = float(0.0)
+    for k in range(rows.start[i], rows.stop[i]):
+        turn += wp.dot(gradient[k], w) * wp.dot(normal[rows.index[k]] - n, w)
+    external[i] = external[i] + mass[i] / area[i] * turn
 
 
 @wp.kernel

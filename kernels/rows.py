@@ -483,13 +483,16 @@ def weigh_row_laplacian(
     ...
 
 
-@wp.func_native(f"""{ROW}
+BLOCKS = f"""{ROW}
     const int limit = block.start.shape[0] - 2;
     const int* start = block.start.data;
     const float* homes = (const float*)home.data;
     const float* packs = pack.data;
     const float px = homes[3 * i], py = homes[3 * i + 1], pz = homes[3 * i + 2], scale = 3.0f / r;
-    float sums[6][8] = {{}};
+"""
+"""What `EACH_IN_BLOCKS` needs."""
+
+EACH_IN_BLOCKS = f"""
     for (int n = first - 1; n <= last; ++n)
     {{
         const int h = n < first ? i : n < last ? index[n] : limit;
@@ -518,7 +521,13 @@ def weigh_row_laplacian(
                 const float ox = px - g[lane], oy = py - g[8 + lane], oz = pz - g[16 + lane];
                 const float s = scale * sqrtf(ox * ox + oy * oy + oz * oz);
 {VALUE}                const float v = w[lane] * value;
-                for (int m = 0; m < 3; ++m)
+"""
+"""A loop over the points of all blocks of row i, eight `lane`s at once, with the weight v; three braces stay open."""
+
+
+@wp.func_native(f"""{BLOCKS}
+    float sums[6][8] = {{}};
+{EACH_IN_BLOCKS}                for (int m = 0; m < 3; ++m)
                 {{
                     const float* t = g + 24 + 8 * m + lane;
                     sums[m][lane] += v * (t[0] + ox * t[48] + oy * t[72] + oz * t[96]);
@@ -547,6 +556,32 @@ def gather_blocks(
     The blocks are those of i, of the entries of its row, and of the last block the points in `region`. A pack holds
     eight points, component by component: x, m, s and the columns of S, see `write_pack`.
     """
+    ...
+
+
+@wp.func_native(f"""{BLOCKS}
+    const float* amounts = given.data;
+    float sums[8] = {{}};
+{EACH_IN_BLOCKS}                sums[lane] += v * amounts[from + lane];
+            }}
+        }}
+    }}
+    float total = 0.0f;
+    for (int lane = 0; lane < 8; ++lane)
+        total += 0.004661441847f * scale * scale * sums[lane];
+    return total;
+""")
+def gather_amount(
+    i: int,
+    home: wp.array(dtype=wp.vec3),
+    region: int,
+    pack: wp.array(dtype=float),
+    given: wp.array(dtype=float),
+    block: Blocks,
+    rows: Neighbors,
+    r: float,
+) -> float:
+    """sum_j W(|d|, r) given_j over the points and blocks of `gather_blocks`, whose pack holds the positions."""
     ...
 
 

@@ -199,6 +199,7 @@ def gather_e_to_l(
     weight: wp.array(dtype=float),
     rows: Neighbors,
     flip: float,
+    midway: float,
     theta: wp.array(dtype=float),
     # outputs
     u_l: wp.array(dtype=wp.vec3),
@@ -226,6 +227,7 @@ def gather_e_to_l(
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
         flip: share of an L's departure from the E that it keeps, 0 to 1.
+        midway: 1 for L that move with the velocity half a step on, whatever theta, 0 for that after theta dt.
         theta: [1] share of the step after which u_E' is.
         u_l: [n_l] carried velocity, m/s.
         affine_l: [n_l] B D^-1 with differences of position in the tangent plane, 1/s.
@@ -250,7 +252,7 @@ def gather_e_to_l(
         departure = tangential(u_l[i] - velocity + change, n)
         u_l[i] = velocity + beyond * change + flip * departure
         affine_l[i] = slope + beyond * slope_of(moment_of(sums, 3, change, first), d, e1, e2)
-        v_l[i] = velocity - slope * first
+        v_l[i] = velocity - midway * (1.0 - 0.5 / theta[0]) * change - slope * first
         normal_l[i] = n
         eta = eta_l[i] * wp.exp(wp.clamp(sums[0, 6] / total, -1.0, 1.0))
         mean = sums[5, 3] / total

@@ -26,6 +26,7 @@ class Features:
         exchanges: L cross between films that touch.
         foam: there are several regions, or walls, to touch.
         single: E are all particles there are, and carry the film along (`SingleLayer`).
+        circulation: L carry circulation.
         explicit: the normal motion is stepped by the present force over the mass.
         budget: the energy budget is kept; a single layer has none.
     """
@@ -43,6 +44,7 @@ class Features:
     exchanges: bool
     foam: bool
     single: bool
+    circulation: bool
     explicit: bool
     budget: bool
 
@@ -67,6 +69,7 @@ class Features:
             exchanges=lagrangian and foam and scene.numerics.exchange > 0.0,
             foam=foam,
             single=single,
+            circulation=lagrangian and scene.numerics.carrier == "circulation",
             explicit=single or (scene.numerics.scheme == "explicit" and not foam),
             air=air,
             dragged=air and scene.shape.closed and scene.surroundings.air_drag > 0.0,
@@ -79,7 +82,7 @@ class Features:
             **dict.fromkeys(("neighbors", "geometry", "cells", "gas", "diagnostics", "surfactant", "transfer"), True),
             "forces": True,
             "lanes": True,
-            "linear": self.moving or (self.lagrangian and (self.marangoni or self.viscous)),
+            "linear": self.moving or self.circulation or (self.lagrangian and (self.marangoni or self.viscous)),
             "advance": True,
             "redistribute": self.moving,
             "membrane": self.moving and not self.foam,
@@ -87,6 +90,7 @@ class Features:
             "drag": self.dragged,
             "air_range": self.air and self.closed and not (self.foam or self.explicit),
             "homes": self.lagrangian,
+            "circulation": self.circulation,
             "boundary": self.rim,
             "single_layer": self.single,
             "foam": self.foam,

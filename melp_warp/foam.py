@@ -104,7 +104,7 @@ class Exchange:
                 *(PARTNER_REACH * film.spacing, *map(Shared, (self.fields.gamma, self.fields.eta, e.region))),
                 *(self._seed.array, self._chance.array, dt),
             ],
-            [lag.region, lag.eta],
+            [lag.region, lag.eta, lag.circulation],
         )
 
 

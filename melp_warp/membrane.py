@@ -330,6 +330,15 @@ class Membrane:
             ],
             [self.force, self.external],
         )
+        if film.features.lagrangian:
+            film.launch_e(
+                km.add_turning_e,
+                [
+                    *(e.normal, e.mass, self.geometry.area, e.u, self.start),
+                    *(self.lists.ee.rows, self.geometry.gradient),
+                ],
+                [self.external],
+            )
         common = [self.force, self.external, e.normal, e.mass, self.geometry.area]
         if film.features.closed:
             sums = [self.moment, self.inertia, self.net, self.net_external, self.lifted]

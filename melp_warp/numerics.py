@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from melp_warp.keys import Key, at_least_zero, check_numbers, count, quantity, word
 
 SCHEMES = ("backward_euler", "trapezoid", "explicit")
+CARRIERS = ("apic", "circulation")
 FLOW_SCHEMES = ("backward_euler", "midpoint")
 OPERATORS = ("mls", "sph")
 SOLVERS = ("cg", "jacobi")
@@ -25,6 +26,8 @@ class Numerics:
             midpoint rule, with which it coincides for linear forces); "explicit" is the paper's symplectic Euler step.
         flow: "midpoint" is second order and keeps waves, with paths of L to match (see docs/method.md);
             "backward_euler" is the paper's (14), which damps waves.
+        carrier: "apic" is the velocity of L alone; with "circulation" they carry circulation besides, which E restore
+            (docs/vortices.md), and `flip` has no part.
         curvature: "mls" is second order, "sph" the paper's (21).
         solver: conjugate gradients, or the paper's relaxed "jacobi" sweeps, for (14).
         max_iterations: None for a number that grows with the film, `linear.most_iterations`.
@@ -49,6 +52,7 @@ class Numerics:
     support: float = quantity(Key("spacings", "kernel support radius, in E spacings", 2.0, 8.0), 3.0)
     scheme: str = quantity(word("time stepping of the normal motion", SCHEMES), "backward_euler")
     flow: str = quantity(word("time stepping of the flow along the film", FLOW_SCHEMES), "midpoint")
+    carrier: str = quantity(word("what L carry vortices by", CARRIERS), "apic")
     curvature: str = quantity(word("curvature operator", OPERATORS), "mls")
     solver: str = quantity(word("solver of the surfactant equation", SOLVERS), "cg")
     tolerance: float = quantity(Key("-", "relative residual at which solves stop", 1e-7, 0.1), 1e-4)
@@ -76,7 +80,12 @@ class Numerics:
     @property
     def looks_back(self) -> bool:
         """Whether what L carry on depends on the velocity of E before the step's forces."""
-        return self.flip > 0.0 or self.flow == "midpoint"
+        return self.kept > 0.0 or self.flow == "midpoint" or self.carrier == "circulation"
+
+    @property
+    def kept(self) -> float:
+        """Share of their own velocity's departure that L keep: `flip`, 0 where they carry circulation."""
+        return 0.0 if self.carrier == "circulation" else self.flip
 
     def __post_init__(self):
         check_numbers(self)

@@ -34,12 +34,16 @@ class Rim:
 
     def mirror_velocity(self) -> None:
         """Give boundary particles the velocity of their mirror points: no motion of the rim, free slip along it."""
+        self.mirror(self.state.e.u)
+
+    def mirror(self, field: wp.array) -> None:
+        """The same for any vector field [n] of the film."""
         film, e, rim = self.film, self.state.e, self.film.rim
         launch(
             kb.mirror_velocity_b,
             film.n_b,
             [self.state.b.mirror, rim.outward, e.normal, e.x, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
-            [e.u],
+            [field],
             film.device,
         )
 

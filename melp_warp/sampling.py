@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import warp as wp
 
+from melp_warp.circulation import curl_of
 from melp_warp.cluster import Cluster, Wall
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
@@ -174,7 +175,7 @@ def _l_state(scene: Scene, n_e: int, spacing: float, origin: np.ndarray, device)
     samples = scene.shape.sample(n_e * scene.l_per_e, offset=0.5)
     order = spatial_order(samples.points, spacing)
     count = len(order)
-    state = allocate(LagrangianState, {"l": count}, device, count=count)
+    state = allocate(LagrangianState, {"l": count}, device, Features.of(scene), count=count)
     state.x.assign(samples.points[order] - origin)
     state.normal.assign(samples.normals[order])
     state.region.assign(_regions(samples, count)[order])
@@ -274,7 +275,7 @@ def state_of(scene: Scene, stored: dict[str, np.ndarray], regions: int, device) 
     """A state of the arrays that `State.numpy` gives, whatever their lengths; what is not there is zero."""
     n_e, n, n_l = (len(stored.get(name, ())) for name in ("e.mass", "e.x", "l.x"))
     e = allocate(EulerianState, {"e": n_e, "n": n}, device, count=n_e)
-    lagrangian = allocate(LagrangianState, {"l": n_l}, device, count=n_l) if "l.x" in stored else None
+    lagrangian = allocate(LagrangianState, {"l": n_l}, device, Features.of(scene), count=n_l) if "l.x" in stored else None
     boundary = allocate(BoundaryState, {"b": n - n_e}, device) if "b.mirror" in stored else None
     state = State(e, lagrangian, boundary, regions, Features.of(scene), time=float(stored["time"]))
     state.load(stored)
@@ -452,6 +453,11 @@ def _set_velocity(scene: Scene, stepper: Stepper) -> None:
             state.e.u.assign(normal_part(u, state.e.normal.numpy()))
     if state.l is not None:
         stepper.transfer.start_l()
+    if film.features.circulation and scene.velocity is not None:
+        lag = state.l
+        points, normals = lag.x.numpy() + state.origin, lag.normal.numpy().astype(np.float64)
+        area = lag.mass.numpy() / (film.material.density * lag.eta.numpy())
+        lag.circulation.assign(area * curl_of(scene.velocity, points, normals, film.spacing))
 
 
 def _fill_gas(film: Film, stepper: Stepper) -> None:

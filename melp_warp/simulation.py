@@ -466,6 +466,7 @@ class Simulation:
             "pressure": float(gas[0, 1]) if closed else None,
             **(self._foam_diagnostics(gas) if film.features.foam else {}),
             **(self._border_diagnostics() if film.features.collects else {}),
+            **(stepper.circulation.diagnostics() if film.features.circulation else {}),
             "mass": sums[0],
             "surfactant": sums[1],
             "momentum": sums[2:5].tolist(),

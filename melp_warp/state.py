@@ -73,6 +73,7 @@ class LagrangianState:
         surfactant: [n_l] amount on one interface, mol.
         eta: [n_l] thickness, m.
         region: [n_l] index of the region.
+        circulation: [n_l] n.curl_s u dA about the L's normal, m^2/s; None unless the carrier is "circulation".
         count: number of L.
     """
 
@@ -85,6 +86,7 @@ class LagrangianState:
     surfactant: wp.array = _array(wp.float32, "l")
     eta: wp.array = _array(wp.float32, "l")
     region: wp.array = _array(wp.int32, "l")
+    circulation: wp.array | None = _array(wp.float32, "l", lambda f: f.circulation)
     count: int = 0
 
 

@@ -13,6 +13,7 @@ import warp as wp
 
 from melp_warp.advance import EulerianAdvance, LagrangianAdvance
 from melp_warp.budget import Budget
+from melp_warp.circulation import Circulation
 from melp_warp.errors import LeapError, SimulationError
 from melp_warp.film import Film
 from melp_warp.foam import Exchange, FoamMembrane
@@ -70,6 +71,9 @@ class Stepper:
         self.forces = Forces(film, state)
         self.rim = Rim(film, state, self.lists, self.geometry) if f.rim else None
         self.transfer = Transfer(film, state, self.lists, self.geometry) if f.lagrangian else None
+        self.circulation = (
+            Circulation(film, state, self.lists, self.geometry, self.transfer, self.rim) if f.circulation else None
+        )
         self.membrane = self._make_membrane() if f.moving else None
         self.tangential = (
             Tangential(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim)
@@ -168,6 +172,8 @@ class Stepper:
     def _gather(self) -> None:
         self.lists.note_late(1)
         self.transfer.l_to_e()  # (6), (7)
+        if self.circulation is not None:
+            self.circulation.restore()
         self.tangential.begin()
         self._find_fields()
 
@@ -205,6 +211,8 @@ class Stepper:
 
     def _scatter(self) -> None:
         flow = self.tangential
+        if self.circulation is not None:
+            self.circulation.take(flow, self.dt.array)
         self.transfer.e_to_l(flow.dilation, flow.before, flow.theta, self.dt.array)  # (16)-(18), (8)
         flow.finish()
         if self.budget is not None:

@@ -10,6 +10,7 @@ import warp as wp
 from melp_warp.film import Film
 from melp_warp.forces import Forces
 from melp_warp.geometry import Geometry
+from melp_warp.kernels import circulation as kc
 from melp_warp.kernels import surfactant as ks
 from melp_warp.launch import copy
 from melp_warp.linear import ConjugateGradient, LinearOperator
@@ -106,6 +107,7 @@ class Tangential:
         before: [n] velocity of E at the start of the step, m/s; None where L do not look back at it.
         wind: [regions] velocity of the air along the film, m/s: that of the film as a whole where drag on the whole is
             told apart; None for air at rest.
+        push: [n] change of velocity by viscosity and drag over theta dt, m/s; None where L carry no circulation.
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where neither the film recoils
             nor a rim is pulled at.
     """
@@ -125,6 +127,8 @@ class Tangential:
         self.dilation = film.zeros(film.n_e)
         self.midpoint = film.numerics.flow == "midpoint"
         self._rate = fastest_rate(film)
+        rubbed = film.features.viscous or film.surroundings.drag > 0.0
+        self.push = film.zeros(film.total, wp.vec3) if film.features.circulation and rubbed else None
         self.theta, self.bend, self._ahead = (film.zeros(1) for _ in range(3))
         self._least, self._most = Setting(film.device), Setting(film.device)
         self._shear, self._shears = film.zeros(film.n_e), film.parts()
@@ -189,12 +193,15 @@ class Tangential:
         self.choose_share(dt)
         if self.midpoint:
             self.film.launch_e(ks.rescale_change_e, [self.before, self.theta, 0.0], [u])
+        self._note_push(0.0)
         if self.viscous is not None:
             self._diffuse(ahead)
+        self._note_push(1.0)
         self.find_dilation()
         if self.solver is not None:
             self._solve_surfactant(ahead)
         self._accelerate(ahead)
+        self._note_drag(ahead)
         if self.rim is not None and self.traction is not None:
             self.rim.take_pull(self.traction, dt)
 
@@ -213,6 +220,8 @@ class Tangential:
             film.launch_parts(ks.largest_chunks, [self._shear], [self._shears])
         bounds = [self._least.array, self._most.array, RISE]
         bend = 1.0 if film.numerics.l_order == 2 else -1.0
+        if film.features.circulation:
+            bend = 0.0  # the velocity half a step on has the acceleration in it
         film.launch_one(ks.choose_share, [self._shears, *bounds, bend, dt], [self.theta, self.bend, self._ahead])
 
     def find_dilation(self) -> wp.array:
@@ -221,6 +230,21 @@ class Tangential:
             self.rim.mirror_velocity()
         self.film.launch_e(ks.dilation_e, [self.state.e.u, self.lists.ee.rows, self.geometry.gradient], [self.dilation])
         return self.dilation
+
+    def _note_push(self, onward: float) -> None:
+        """Note the velocity before viscosity acts (0), and what it has changed (1)."""
+        if self.push is not None:
+            self.film.launch_e(kc.note_change_e, [self.state.e.u, onward], [self.push])
+
+    def _note_drag(self, dt: wp.array) -> None:
+        film, e = self.film, self.state.e
+        drag = film.surroundings.drag
+        if self.push is not None and drag > 0.0:
+            film.launch_e(
+                kc.note_drag_e,
+                [e.u, e.normal, self.fields.eta, e.region, self.wind, drag, film.material.density, dt],
+                [self.push],
+            )
 
     def _solve_surfactant(self, dt: wp.array) -> None:
         film, fields, solver = self.film, self.fields, self.solver

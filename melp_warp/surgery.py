@@ -14,6 +14,9 @@ from melp_warp.state import GAS_SLOTS, State
 
 VOLUME, GAUGE, AMOUNT = (GAS_SLOTS.index(name) for name in ("volume", "gauge_pressure", "amount"))
 
+AMOUNTS = ("mass", "surfactant", "circulation")
+"""What particles hold that adds up."""
+
 HEIRS = 128
 """Particles that share what one particle of a broken partition leaves."""
 
@@ -78,6 +81,8 @@ def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
         region = stored.region("l")
         shared = (region == k) & (partner_l >= 0)
         region[shared] = partner_l[shared]
+        if "l.circulation" in stored.arrays:
+            stored.arrays["l.circulation"][shared] *= -1.0  # about the normal of the other side
         stored.spilled += float(stored.arrays["l.mass"][region == k].sum(dtype=np.float64))
         stored.select("l", region != k)
     else:
@@ -129,8 +134,10 @@ def _hand_over(arrays: dict[str, np.ndarray], kind: str, gone: np.ndarray, kept:
     )
     momentum = mass[:, None] * u
     np.add.at(momentum, nearest, momentum[sources, None] / heirs)
-    for name in ("mass", "surfactant"):
-        amount = arrays[f"{kind}.{name}"]
+    for name in AMOUNTS:
+        amount = arrays.get(f"{kind}.{name}")
+        if amount is None:
+            continue
         np.add.at(amount, nearest, amount[sources, None] / heirs)
     met = np.unique(nearest)
     u[met] = momentum[met] / mass[met, None]

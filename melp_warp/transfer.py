@@ -31,13 +31,15 @@ class Transfer:
 
     Attributes:
         claim: [n_e] area that the L take up at their thickness, m^2.
+        weight: [pairs] W(E, L), 1/m^2.
+        given: what the L give by the place where they are sorted to, see `normalize_l`.
         lost: [n_l] 1 where no E is near.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.weight = film.zeros(lists.le.rows.index.shape[0])
-        self._given = film.zeros(144 * math.ceil(film.n_l / 8))
+        self.given = film.zeros(144 * math.ceil(film.n_l / 8))
         self._pack = film.zeros(film.total, vec16)
         self.lost = film.zeros(film.n_l, wp.int32)
         self._thickest = film.parts()
@@ -95,7 +97,7 @@ class Transfer:
             kt.gather_l_to_e,
             [
                 *(e.x, e.region, self.lists.wide.rows, self.lists.el.blocks),
-                *(film.r, self._given),
+                *(film.r, self.given),
             ],
             [e.mass, e.surfactant, self.claim, self.momentum],
         )
@@ -110,7 +112,7 @@ class Transfer:
                 *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
                 *(film.numerics.affinity, self.lists.el.place),
             ],
-            [self.weight, self._given, self.lost],
+            [self.weight, self.given, self.lost],
         )
 
     def e_to_l(self, dilation: wp.array, before: wp.array | None, theta: wp.array, dt: wp.array) -> None:
@@ -127,7 +129,7 @@ class Transfer:
             [dilation, self.claim, self.geometry.area, dt, self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT],
             [self.growth],
         )
-        self._gather_to_l(before, theta, self.film.numerics.flip)
+        self._gather_to_l(before, theta, self.film.numerics.kept)
 
     def start_l(self) -> None:
         """Velocity and affine state of L from E at the start of a run; the thickness stays."""
@@ -141,10 +143,11 @@ class Transfer:
 
     def _gather_to_l(self, before: wp.array | None, theta: wp.array, flip: float) -> None:
         film, e, lag = self.film, self.state.e, self.state.l
+        midway = float(film.features.circulation and before is not None)
         inputs = [e.x, e.u, before, e.normal, self.growth, e.mass, self.geometry.area, film.material.density]
         launch(kt.pack_e, film.total, inputs, [self._pack], film.device)
         film.launch_l(
             kt.gather_e_to_l,
-            [lag.x, self._pack, self.weight, self.lists.le.rows, flip, theta],
+            [lag.x, self._pack, self.weight, self.lists.le.rows, flip, midway, theta],
             [lag.u, lag.affine, lag.v, lag.normal, lag.eta],
         )

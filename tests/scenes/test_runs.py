@@ -27,6 +27,11 @@ SMALL = {
     "giant_bubble": ["e_count=400", "l_per_e=4"],
     "oscillating_bubble": ["e_count=400"],
     "taylor_vortices": ["e_count=400", "l_per_e=4"],
+    "leapfrog": ["e_count=400", "l_per_e=4"],
+    "turbulent_film": ["e_count=400", "l_per_e=4", "whirls=2"],
+    "stirred_disc": ["e_count=300", "l_per_e=4"],
+    "deforming_rectangle_2m": ["e_count=400", "l_per_e=4"],
+    "giant_bubble_vortices": ["e_count=500", "l_per_e=4"],
 }
 NUMBERS = "time dt substeps e_count l_count area mass surfactant kinetic_energy surface_energy max_speed".split()
 FIELDS = [attribute.field for attribute in ATTRIBUTES if attribute.field]

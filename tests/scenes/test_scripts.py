@@ -16,7 +16,8 @@ FOAMS = (
     *("cluster", "double_bubble", "foam_mountain", "four_bubbles"),
     *("quadruple_bubble", "size_ratio", "triple_bubble"),
 )
-SCENES = (*FOAMS, "drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices")
+VORTICES = ("deforming_rectangle_2m", "giant_bubble_vortices", "leapfrog", "stirred_disc", "turbulent_film")
+SCENES = (*FOAMS, *VORTICES, "drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices")
 COMMON = "thickness tension surfactant density gravity pressure air viscosity drag e_count l_per_e seed".split()
 OWN = {
     "cluster": ["radius_low", "radius_high", "offset", "gap", "approach_speed", "merge_time"],
@@ -31,6 +32,11 @@ OWN = {
     "giant_bubble": ["radius", "noise"],
     "oscillating_bubble": ["radius", "mode", "amplitude"],
     "taylor_vortices": ["separation", "noise"],
+    "leapfrog": ["core", "circulation", "spacing_inner", "spacing_outer"],
+    "turbulent_film": ["width", "height", "whirls", "swirl"],
+    "stirred_disc": ["radius", "swirl"],
+    "deforming_rectangle_2m": ["width", "height", "contrast", "swing"],
+    "giant_bubble_vortices": ["radius", "pairs", "core", "circulation"],
 }
 
 
@@ -293,7 +299,7 @@ def test_a_file_that_is_no_scene(tmp_path, text, words):
     ("name", "words"),
     [
         ("giant_buble", "did you mean giant_bubble"),
-        ("nonsense", "scenes are cluster, double_bubble, drainage"),
+        ("nonsense", "scenes are cluster, deforming_rectangle_2m"),
         ("no/such/file.py", "no such file"),
     ],
 )
