@@ -150,7 +150,7 @@ class Circulation:
             launch(
                 kc.mirror_stream_b,
                 film.n_b,
-                [film.rim.mirror, self.state.e.x, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
+                [self.state.b.mirror, self.state.e.x, self.lists.be.rows, self.lists.mirror_reach, film.n_e],
                 [self.psi],
                 film.device,
             )

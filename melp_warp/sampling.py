@@ -275,7 +275,9 @@ def state_of(scene: Scene, stored: dict[str, np.ndarray], regions: int, device) 
     """A state of the arrays that `State.numpy` gives, whatever their lengths; what is not there is zero."""
     n_e, n, n_l = (len(stored.get(name, ())) for name in ("e.mass", "e.x", "l.x"))
     e = allocate(EulerianState, {"e": n_e, "n": n}, device, count=n_e)
-    lagrangian = allocate(LagrangianState, {"l": n_l}, device, Features.of(scene), count=n_l) if "l.x" in stored else None
+    lagrangian = (
+        allocate(LagrangianState, {"l": n_l}, device, Features.of(scene), count=n_l) if "l.x" in stored else None
+    )
     boundary = allocate(BoundaryState, {"b": n - n_e}, device) if "b.mirror" in stored else None
     state = State(e, lagrangian, boundary, regions, Features.of(scene), time=float(stored["time"]))
     state.load(stored)

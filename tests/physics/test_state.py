@@ -1,6 +1,7 @@
 """The state is whole: runs that go back, that are written, that are loaded, and plain ones give the same bits."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from melp_warp.simulation import Simulation
 from melp_warp.validation import small_giant
 
 AIR = Surroundings(air="added_mass")
+CARRIED = Numerics(carrier="circulation")
 DOWN = Surroundings(gravity=(0.0, -9.81, 0.0))
 
 
@@ -89,6 +91,9 @@ SCENES = {
         "single", ridged(0.05), 300, velocity=whirl, numerics=Numerics(layers=1), fps=300.0, surroundings=AIR
     ),
     "gone": gone,
+    "vortices": lambda: small_giant(300, 4, carrier="circulation"),
+    "vortices in a disc": lambda: Scene("flat", Disc(0.05), 300, 4, velocity=whirl, numerics=CARRIED),
+    "vortices in a foam": lambda: replace(foam(), numerics=Numerics(cfl=0.5, exchange=50.0, carrier="circulation")),
     "flat single": lambda: Scene("single", Disc(0.05), 300, velocity=whirl, numerics=Numerics(layers=1), fps=300.0),
 }
 
