@@ -98,7 +98,7 @@ def test_builds_sound_fields(name):
         thickness = scene.thickness(samples.points)
         assert thickness.min() > 0.0
         assert thickness.mean() == pytest.approx(scene.material.thickness, rel=0.15)
-    if scene.velocity is not None:
+    if scene.velocity is not None and name != "deforming_rectangle_2m":  # which swings out of its plane
         flow = scene.velocity(samples.points)
         across = np.einsum("ij,ij->i", flow, samples.normals)
         assert np.abs(across).max() < 1e-6 * np.abs(flow).max()
