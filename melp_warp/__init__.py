@@ -4,7 +4,7 @@ import os
 
 __version__ = "0.1.0"
 
-if os.environ.get("MELP_WARP_PRECISION", "32") != "32":
+if os.environ.get("MELP_WARP_PRECISION") == "64":  # melp_warp.environment refuses others
     from melp_warp import double
 
     double.install()

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
+import traceback
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from melp_warp import __version__
-from melp_warp.errors import InputError, SimulationError, require
+from melp_warp.errors import InputError, SimulationError, from_scene, in_a_line, require
 from melp_warp.tables import columns
 
 if TYPE_CHECKING:
@@ -36,22 +38,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0 done, 1 a run or a check failed, 2 bad input, 130 interrupted.
     """
+    _open_streams()
+    words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        options = _parser().parse_args(arguments)
-        return options.command(options)
-    except InputError as error:
-        return _report(error, BAD_INPUT)
-    except SimulationError as error:
-        return _report(error, FAILED)
-    except BrokenPipeError:
-        # the reader of a pipe has left: nothing more to tell it, nor to flush at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return _report(f"{where}{error.strerror or error}", BAD_INPUT)
-    except KeyboardInterrupt:
-        return _report("interrupted", 130)
+        options = _parser().parse_args(words)
+        if getattr(options, "verbose", False):
+            from melp_warp.environment import announce
+
+            announce(True)
+        code = options.command(options)
+        sys.stdout.flush()
+        return code
+    except (Exception, KeyboardInterrupt) as error:
+        if "--traceback" in words:
+            traceback.print_exc()
+        return _told(error)
+    except SystemExit as end:
+        if from_scene(end) is None:  # --help and --version
+            raise
+        return _report(f"scene file {from_scene(end)}: SystemExit: {end}", BAD_INPUT)
 
 
 def run_file(path: str) -> int:
@@ -59,8 +64,53 @@ def run_file(path: str) -> int:
     return main(["run", path, *sys.argv[1:]])
 
 
+def _told(error: BaseException) -> int:
+    """Say in a line what went wrong; the exit code."""
+    if isinstance(error, InputError):
+        return _report(error, BAD_INPUT)
+    if isinstance(error, SimulationError):
+        return _report(error, FAILED)
+    if isinstance(error, KeyboardInterrupt):
+        return _report("interrupted", 130)
+    where = from_scene(error)
+    if where is not None:
+        return _report(f"scene file {where}: {in_a_line(error)} (--traceback shows more)", BAD_INPUT)
+    if isinstance(error, OSError):
+        _leave_stdout()
+        if isinstance(error, BrokenPipeError):  # the reader of a pipe has left: nothing more to tell it
+            return FAILED
+        name = f"{error.filename}: " if error.filename else ""
+        return _report(f"{name}{error.strerror or error}", BAD_INPUT)
+    if isinstance(error, MemoryError):
+        return _report("there is not enough memory", FAILED)
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{Path(last.filename).name}, line {last.lineno}"
+    return _report(f"a fault of melp-warp: {where}: {in_a_line(error)} (--traceback shows more)", FAILED)
+
+
+def _open_streams() -> None:
+    """Give standard streams that are closed a place to go to: what is opened next would get their number."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if number == 0 else "w"))
+
+
+def _leave_stdout() -> None:
+    """Drop what stdout still holds where it cannot be written: Python would try again at exit."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _report(message: object, code: int) -> int:
-    print(f"melp-warp: error: {' '.join(str(message).split())}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # a reader of stderr that has left
+        print(f"melp-warp: error: {' '.join(str(message).split())}", file=sys.stderr, flush=True)
     return code
 
 
@@ -81,7 +131,17 @@ def _parser() -> argparse.ArgumentParser:
     _add_measure(commands)
     _add_report(commands)
     _add_tradeoff(commands)
+    for name, command in commands.choices.items():
+        command.add_argument("--traceback", action="store_true", help="print Python's traceback with an error")
+        if name in ("run", "preview", "tradeoff"):
+            command.add_argument("--verbose", action="store_true", help="let Warp say what it starts and compiles")
     return parser
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("it must not be empty")
+    return Path(text)
 
 
 def _add_run(commands: argparse._SubParsersAction) -> None:
@@ -103,7 +163,7 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     run.add_argument(
         "--set", metavar="KEY=VALUE", nargs="+", action="extend", default=[], help="change numbers of the scene"
     )
-    run.add_argument("--out", metavar="DIR", type=Path, help="folder to write, new or empty (default: out/NAME)")
+    run.add_argument("--out", metavar="DIR", type=_path, help="folder to write, new or empty (default: out/NAME)")
     run.add_argument(
         "--export", choices=("l", "e", "both"), help="particles to write: L, E or both (default: L where there are any)"
     )
@@ -133,11 +193,11 @@ def _add_scenes(commands: argparse._SubParsersAction) -> None:
 def _add_preview(commands: argparse._SubParsersAction) -> None:
     preview = commands.add_parser("preview", help="draw frames", description="Draw frames as pictures or a movie.")
     add = preview.add_argument
-    add("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    add("folder", metavar="DIR", type=_path, help="folder that a run wrote")
     add("--frame", metavar="N", type=int, help="frame number (default: the last)")
     add("--frames", metavar="A:B[:STEP]", type=_frames, help="frames A to B; `:` for all")
-    add("--out", metavar="FILE", type=Path, help="picture, its format by its ending; with # for numbers")
-    add("--movie", metavar="FILE", type=Path, help="movie of the frames, .mp4 or .gif (default: of all)")
+    add("--out", metavar="FILE", type=_path, help="picture, its format by its ending; with # for numbers")
+    add("--movie", metavar="FILE", type=_path, help="movie of the frames, .mp4 or .gif (default: of all)")
     add("--fps", metavar="F", type=float, help="pictures a second of the movie (default: the run's)")
     add("--size", metavar="N|WxH", type=_size, default=(800, 800), help="pixels (default: 800)")
     add("--from", dest="toward", metavar="X,Y,Z", type=_vector, help="direction from the film to the camera")
@@ -190,7 +250,7 @@ def _add_mesh(commands: argparse._SubParsersAction) -> None:
         help="put surface meshes into a written cache",
         description="Put a surface mesh of each region into every frame of a cache, in place of those that are there.",
     )
-    mesh.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote, with E")
+    mesh.add_argument("folder", metavar="DIR", type=_path, help="folder that a run wrote, with E")
     mesh.add_argument("--triangles", metavar="N", type=int, help="triangles of a frame, about (default: as many as L)")
     mesh.set_defaults(command=_mesh)
 
@@ -199,7 +259,7 @@ def _add_check(commands: argparse._SubParsersAction) -> None:
     check = commands.add_parser(
         "check", help="check a written cache", description="Check that a folder that a run wrote is a sound cache."
     )
-    check.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    check.add_argument("folder", metavar="DIR", type=_path, help="folder that a run wrote")
     check.set_defaults(command=_check)
 
 
@@ -209,9 +269,9 @@ def _add_measure(commands: argparse._SubParsersAction) -> None:
         help="measure the bubbles of a frame",
         description="Measure the bubbles of a frame: volumes, radii, partitions and the angles at which films meet.",
     )
-    measure.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    measure.add_argument("folder", metavar="DIR", type=_path, help="folder that a run wrote")
     measure.add_argument("--frame", metavar="N", type=int, help="frame number (default: the last)")
-    measure.add_argument("--json", metavar="FILE", type=Path, help="write all numbers as JSON as well")
+    measure.add_argument("--json", metavar="FILE", type=_path, help="write all numbers as JSON as well")
     measure.add_argument(
         "--set", choices=("film", "e"), dest="which", help="particles to measure (default: E where the cache has them)"
     )
@@ -225,7 +285,7 @@ def _add_report(commands: argparse._SubParsersAction) -> None:
         help="print and draw the energy budget of a run",
         description="Print the energy budget of a run and draw it as budget.png (needs matplotlib).",
     )
-    report.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    report.add_argument("folder", metavar="DIR", type=_path, help="folder that a run wrote")
     report.set_defaults(command=_report_budget)
 
 
@@ -241,7 +301,7 @@ def _add_tradeoff(commands: argparse._SubParsersAction) -> None:
     )
     study.add_argument("--e", metavar="N", type=int, default=400, help="E of the standard run (default: 400)")
     study.add_argument("--frames", metavar="N", type=int, default=12, help="frames of each run (default: 12)")
-    study.add_argument("--out", metavar="DIR", type=Path, help="folder for tradeoff.csv, .json and .png; new or empty")
+    study.add_argument("--out", metavar="DIR", type=_path, help="folder for tradeoff.csv, .json and .png; new or empty")
     study.set_defaults(command=_tradeoff)
 
 

@@ -14,6 +14,7 @@ from weakref import WeakMethod
 
 import warp as wp
 
+from melp_warp.environment import whole_number
 from melp_warp.interrupt import finish_first
 from melp_warp.kernels.lanes import meet
 from melp_warp.kernels.neighbors import Neighbors
@@ -26,7 +27,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-THREADS = int(os.environ.get("MELP_WARP_THREADS", "0")) or _cores()
+THREADS = whole_number("MELP_WARP_THREADS", 0, 0, 1024) or _cores()
 """CPU threads that share a launch. Results do not depend on it."""
 
 ROWS_A_THREAD = 1024
@@ -41,7 +42,7 @@ ROWS_A_LANE = 256
 ENTRIES_A_LANE = 2048
 """The same for entries of an array."""
 
-GRAPHS = os.environ.get("MELP_WARP_GRAPHS", "1") != "0"
+GRAPHS = whole_number("MELP_WARP_GRAPHS", 1, 0, 1) == 1
 """Whether sequences are captured at all. Results do not depend on it."""
 
 CPU_BLOCK = 1

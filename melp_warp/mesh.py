@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import warp as wp
 
+from melp_warp.errors import InputError
 from melp_warp.frame import MeshFrame, ParticleFrame
 from melp_warp.kernels import mesh as km
 from melp_warp.kernels import subdivide as ks
@@ -219,6 +220,7 @@ def _close(x: wp.array, normal: wp.array, region: np.ndarray, rim: Rim, rows: Ne
     edge = wp.zeros(int(first[1][-1]), dtype=wp.vec2i, device=DEVICE)
     starts = [_ints(a) for a in first]
     launch(km.list_faces_v, n, [rings, n, *starts], [face, side, edge], DEVICE)
+    _check_faces(face.numpy(), side.numpy(), len(edge))
     return Coarse(
         x,
         normal,
@@ -234,6 +236,13 @@ def _close(x: wp.array, normal: wp.array, region: np.ndarray, rim: Rim, rows: Ne
         filled=sides,
         flips=int(flips.numpy()[0]),
     )
+
+
+def _check_faces(face: np.ndarray, side: np.ndarray, edges: int) -> None:
+    """Refuse points without order, as of a cache from elsewhere, where triangles lack a corner or an edge."""
+    corners = (face != np.roll(face, 1, axis=1)).all()
+    if not corners or not ((side >= 0) & (side < edges)).all():
+        raise InputError("no mesh can be laid through these E: they are on no surface")
 
 
 def _neighbors(x: wp.array, normal: wp.array, region: wp.array, reach: wp.array) -> Neighbors:

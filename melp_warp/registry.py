@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import importlib.util
+import inspect
 import pkgutil
 import sys
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from melp_warp.errors import InputError
+from melp_warp.errors import SCENE_FILE, InputError, from_scene, in_a_line
 from melp_warp.parameters import Parameters, Values
 from melp_warp.scene import Scene
 
@@ -71,7 +72,7 @@ def _import_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise InputError(f"unknown scene {str(path)!r}: there is no such file")
     # dataclasses and pickles in the file look their module up by name
-    name = f"melp_warp_scene_{path.stem}"
+    name = f"{SCENE_FILE}{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
@@ -79,14 +80,11 @@ def _import_file(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except InputError:
         raise
-    except Exception as error:
-        where = f"line {error.lineno}, " if isinstance(error, SyntaxError) else ""
-        raise InputError(f"scene file {path} failed: {where}{type(error).__name__}: {_first_line(error)}") from error
+    except (Exception, SystemExit) as error:
+        line = error.lineno if isinstance(error, SyntaxError) else None
+        where = f"{path}, line {line}" if line else from_scene(error) or str(path)
+        raise InputError(f"scene file {where}: {in_a_line(error)}") from error
     return module
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or ["no message"])[0]
 
 
 def _script(module: ModuleType, name: str) -> SceneScript:
@@ -94,4 +92,20 @@ def _script(module: ModuleType, name: str) -> SceneScript:
     if not isinstance(parameters, Parameters) or not callable(build):
         raise InputError(f"{name!r} is not a scene: it must have PARAMETERS = declare(...) and build(p)")
     lines = (module.__doc__ or "").strip().splitlines()
-    return SceneScript(name, lines[0] if lines else "", parameters, build)
+    return SceneScript(name, lines[0] if lines else "", parameters, _checked(build, module.__file__))
+
+
+def _checked(build: Callable, file: str) -> Callable[[Values], Scene]:
+    """A scene's `build(p)`, which must return a scene."""
+
+    def checked(values: Values) -> Scene:
+        try:
+            inspect.signature(build).bind(values)
+        except TypeError as error:
+            raise InputError(f"scene file {file}: build must take one argument, p: {error}") from error
+        scene = build(values)
+        if not isinstance(scene, Scene):
+            raise InputError(f"scene file {file}: build(p) must return a Scene, p.scene(...), got {scene!r}")
+        return scene
+
+    return checked

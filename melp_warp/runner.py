@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
-import logging
 import math
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from melp_warp.errors import InputError, SimulationError, require
+from melp_warp.files import is_systems
 from melp_warp.interrupt import finish_first, let_through
 from melp_warp.parameters import Value
 from melp_warp.scene import Scene
@@ -35,6 +35,7 @@ CHECKPOINT = "checkpoint.npz"
 CONTACT = "contact.png"
 CONTACT_FRAMES = 9
 PREVIEW_SIZE, CONTACT_SIZE = 800, 400
+MOST_TRIANGLES = 100_000_000
 INTERRUPTED = 130
 
 
@@ -87,7 +88,7 @@ def run(plan: Plan) -> int:
     require(plan.export != "l" or plan.scene.l_per_e > 0, "--export", plan.export, "e or both: the scene has no L")
     _check_numbers(plan)
     _check_folder(plan.out)
-    _start_warp(plan.device)
+    _start_warp()
     simulation = None
     try:
         with _Progress(plan) as progress:
@@ -115,7 +116,8 @@ def _check_numbers(plan: Plan) -> None:
 
 
 def _check_triangles(triangles: int | None) -> None:
-    require(triangles is None or triangles > 0, "--triangles", triangles, "a whole number above 0")
+    allowed = f"a whole number from 1 to {MOST_TRIANGLES}"
+    require(triangles is None or 1 <= triangles <= MOST_TRIANGLES, "--triangles", triangles, allowed)
 
 
 def estimate(plan: Plan) -> Estimate:
@@ -125,7 +127,7 @@ def estimate(plan: Plan) -> Estimate:
         InputError: the solver refuses the scene or the device.
         SimulationError: one of the steps failed.
     """
-    _start_warp(plan.device)
+    _start_warp()
     from melp_warp.estimate import measure_cost
 
     with_l = plan.scene.l_per_e > 0 and plan.export != "e"
@@ -152,7 +154,7 @@ def trade(script: SceneScript, overrides: Mapping[str, Value], e_count: int, fra
     """
     if out is not None:
         _check_folder(out)
-    _start_warp("cpu")
+    _start_warp()
     from melp_warp import tradeoff
 
     records, began = [], time.perf_counter()
@@ -201,6 +203,7 @@ def _check_folder(folder: Path) -> None:
         if held:
             more = f" and {len(held) - 1} more" if len(held) > 1 else ""
             raise InputError(f"--out must be a new or empty folder, got {str(folder)!r}, which holds {held[0]}{more}")
+    require(not is_systems(folder), "--out", str(folder), "a folder of a disk")
     existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     require(existing.is_dir(), "--out", str(folder), f"a folder; {existing} is a file")
     require(os.access(existing, os.W_OK | os.X_OK), "--out", str(folder), f"writable; {existing} is not")
@@ -232,8 +235,11 @@ class _Progress:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         # an error is told in one line: no bar before it
-        self._bar.live.transient = kind is not None and issubclass(kind, Exception)
+        failed = kind is not None and issubclass(kind, Exception)
+        self._bar.live.transient = failed
         self._bar.live.stop()
+        if not failed and not self._bar.console.is_interactive:
+            self._bar.console.print()  # without a terminal the bar is written once, and its line left open
 
     def say(self, notices: Notices) -> None:
         """Print the notices that are new, above the bar."""
@@ -374,7 +380,7 @@ def _say_finished(folder: Path, images: list[Path], notices: Notices, empty_from
 
 def draw(shot: Shot) -> list[Path]:
     """Draw frames of a cache; see `melp_warp.pictures.shoot`."""
-    _start_warp(shot.device)
+    _start_warp()
     from melp_warp import pictures
 
     return pictures.shoot(shot)
@@ -394,7 +400,7 @@ def mesh_cache(folder: Path, triangles: int | None = None) -> list[str]:
         InputError: there is no such cache, or it has no E.
     """
     _check_triangles(triangles)
-    _start_warp("cpu")
+    _start_warp()
     from melp_warp.apart import read_frame, read_root
     from melp_warp.mesh import make_meshes
     from melp_warp.usd import add_meshes, list_frames
@@ -463,28 +469,7 @@ def _draw_run(plan: Plan) -> list[Path]:
     return [last, sheet]
 
 
-def _start_warp(device: str) -> None:
-    """Start Warp without its announcements; call before importing anything that would start it."""
-    import warp as wp
+def _start_warp() -> None:
+    from melp_warp.environment import start_warp
 
-    if hasattr(wp.config, "log_level"):
-        wp.config.log_level = logging.ERROR  # Warp counts like logging
-    else:
-        wp.config.quiet = True
-    with _muted_stderr() if device == "cpu" else contextlib.nullcontext():
-        wp.init()
-
-
-@contextlib.contextmanager
-def _muted_stderr() -> Iterator[None]:
-    """Drop what native code writes to stderr: Warp warns that there is no CUDA driver even where none is asked for."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    sink = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(sink, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(sink)
-        os.close(kept)
+    start_warp()

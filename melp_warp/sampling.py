@@ -49,12 +49,27 @@ def _field(function, points: np.ndarray, default: float, name: str, width: int =
     shape = (len(points),) if width == 1 else (len(points), width)
     if function is None:
         return np.full(shape, default)
-    values = np.asarray(function(points), dtype=np.float64)
+    values = _values(function, points, name)
     require(values.shape == shape, name, values.shape, f"a field of shape {shape}")
     if not np.all(np.isfinite(values)):
         bad = int(np.argwhere(~np.isfinite(values))[0][0])
         raise InputError(f"{name} must be finite everywhere, got {values[bad]!r} at {points[bad].tolist()}")
     return values
+
+
+def _values(function, points: np.ndarray, name: str) -> np.ndarray:
+    """What a field's function gives at points."""
+    require(callable(function), name, function, "a function of points [n, 3]")
+    try:
+        given = function(points)
+    except TypeError as error:
+        if error.__traceback__.tb_next is not None:  # from within the function
+            raise
+        raise InputError(f"{name} must be a function of points alone: {error}") from None
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be a field of numbers, got {str(given)[:60]!r}") from None
 
 
 def _refuse(bad: np.ndarray, values: np.ndarray, points: np.ndarray, name: str, allowed: str) -> None:

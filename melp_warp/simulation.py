@@ -13,6 +13,7 @@ import warp as wp
 from melp_warp import checkpoint
 from melp_warp.budget import Ledger, Reading
 from melp_warp.cluster import Cluster
+from melp_warp.environment import start_warp
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
 from melp_warp.events import Events
 from melp_warp.features import Features
@@ -57,11 +58,12 @@ def find_device(name: str) -> wp.Device:
     Raises:
         InputError: no such device here.
     """
+    start_warp()
     try:
         return wp.get_device(name)
     except Exception:
         known = ", ".join(str(d) for d in wp.get_devices())
-        raise InputError(f"device must be one of {known} on this machine, got {name!r}") from None
+        raise InputError(f"device must be one of those here, {known}, got {name!r}") from None
 
 
 class Simulation:
