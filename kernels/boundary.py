@@ -8,7 +8,7 @@ from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangential
 
 wp.set_module_options({"enable_backward": False})
 
-vec5d = wp.types.vector(length=5, dtype=wp.float64)
+vec7d = wp.types.vector(length=7, dtype=wp.float64)
 
 SQUARE = wp.constant(0.5)
 """Cosine between the directions across two walls below which they are two, not one that bends."""
@@ -90,6 +90,9 @@ def confine_l(
     n_e: int,
     gravity: wp.vec3,
     hold: float,
+    eta_l: wp.array(dtype=float),
+    packed: float,
+    rt: float,
     # outputs
     x_l: wp.array(dtype=wp.vec3),
     u_l: wp.array(dtype=wp.vec3),
@@ -98,6 +101,7 @@ def confine_l(
     surfactant_l: wp.array(dtype=float),
     collected: wp.array(dtype=wp.vec2),
     impulse: wp.array(dtype=wp.vec3),
+    energy: wp.array(dtype=wp.vec2),
 ):
     """Put L that have crossed the rim back onto it; the rim takes what drives them out.
 
@@ -112,6 +116,9 @@ def confine_l(
         n_e: number of E; boundary particle b is entry n_e + b of a row.
         gravity: m/s^2.
         hold: 2 R T/spacing, J/(mol m).
+        eta_l: [n_l] m.
+        packed: rho/Gamma_0, kg/(mol m); 0 without surfactant.
+        rt: R T, J/mol.
         x_l: [n_l] m.
         u_l: [n_l] carried velocity, m/s.
         v_l: [n_l] velocity at the particle, m/s.
@@ -119,6 +126,7 @@ def confine_l(
         surfactant_l: [n_l] mol, of one interface.
         collected: [n_l] mass and surfactant that went into the border, added to; kg, mol.
         impulse: [n_l] momentum that the rim took, added to; kg m/s.
+        energy: [n_l] energy that the rim took, added to: of motion, of height and surfactant, J; null if nobody asks.
     """
     i = rows.first + wp.tid()
     if rows.stop[i] == rows.start[i] or rows.index[rows.stop[i] - 1] < n_e:
@@ -134,12 +142,19 @@ def confine_l(
     if m > 0.0 and hold * c < m * wp.dot(gravity, o):
         collected[i] = collected[i] + wp.vec2(m, c)
         impulse[i] = impulse[i] + m * u_l[i]
+        if energy:
+            stored = -m * wp.dot(gravity, x_l[i] - back)
+            if c > 0.0:
+                stored += 2.0 * rt * c * (wp.log(c * packed * eta_l[i] / m) - 1.0)
+            energy[i] = energy[i] + wp.vec2(0.5 * m * wp.length_sq(u_l[i]), stored)
         mass_l[i] = 0.0
         surfactant_l[i] = 0.0
         u_l[i] = wp.vec3()
         v_l[i] = wp.vec3()
         return
     lost = wp.max(wp.min(wp.dot(v_l[i], o), wp.dot(u_l[i], o)), 0.0)
+    if energy:
+        energy[i] = energy[i] + wp.vec2(m * lost * (wp.dot(u_l[i], o) - 0.5 * lost), m * wp.dot(gravity, back))
     u_l[i] = u_l[i] - lost * o
     v_l[i] = v_l[i] - lost * o
     impulse[i] = impulse[i] + m * lost * o
@@ -180,19 +195,23 @@ def taken_chunks(
     collected: wp.array(dtype=wp.vec2),
     impulse_l: wp.array(dtype=wp.vec3),
     impulse_e: wp.array(dtype=wp.vec3),
+    energy: wp.array(dtype=wp.vec2),
     # outputs
-    part: wp.array(dtype=vec5d),
+    part: wp.array(dtype=vec7d),
 ):
-    """Parts of what the rim has taken: mass, surfactant and momentum, kg, mol, kg m/s."""
+    """Parts of what the rim has taken: mass, surfactant, momentum, energy of motion and all other; kg, mol, kg m/s, J."""
     c = wp.tid()
     n = impulse_l.shape[0]
     size = (n + part.shape[0] - 1) // part.shape[0]
-    s = vec5d()
+    s = vec7d()
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         s[0] += wp.float64(collected[i][0])
         s[1] += wp.float64(collected[i][1])
         for k in range(3):
             s[2 + k] += wp.float64(impulse_l[i][k])
+        if energy:
+            s[5] += wp.float64(energy[i][0])
+            s[6] += wp.float64(energy[i][1])
     n = impulse_e.shape[0]
     size = (n + part.shape[0] - 1) // part.shape[0]
     for i in range(c * size, wp.min(n, (c + 1) * size)):
@@ -203,13 +222,13 @@ def taken_chunks(
 
 @wp.kernel
 def add_taken(
-    part: wp.array(dtype=vec5d),
+    part: wp.array(dtype=vec7d),
     # outputs
     border: wp.array(dtype=wp.float64),
 ):
     """Add the parts to what the border holds and the rim has taken, see `state.BORDER_SLOTS`."""
     for c in range(part.shape[0]):
-        for k in range(5):
+        for k in range(7):
             border[k] = border[k] + part[c][k]
 
 

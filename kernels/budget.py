@@ -6,7 +6,10 @@ docs/energy.md for the identities.
 
 import warp as wp
 
-from melp_warp.kernels.gas import AMOUNT, GAUGE, INCREMENT, OFFSET, VOLUME
+from melp_warp.kernels.air_range import AFTER, BEFORE
+from melp_warp.kernels.contact import Contact, meet_sheets, near_share, press
+from melp_warp.kernels.gas import AMOUNT, AREA, GAUGE, INCREMENT, OFFSET, VOLUME
+from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, part_region, region_parts
 from melp_warp.kernels.sph import tangential
@@ -19,25 +22,30 @@ SURFACE = wp.constant(1)
 GAS = wp.constant(2)
 AIR = wp.constant(3)
 # What the step has done, from here on.
-OFFSETS = wp.constant(4)
-STARTED = wp.constant(5)
-FIRST_FLOW = OFFSETS
-HOLD = wp.constant(6)
-MEMBRANE = wp.constant(7)
-BENDING = wp.constant(8)
-PRESSING = wp.constant(9)
-FLOW = wp.constant(10)
-SPREADING = wp.constant(11)
-SPLITTING = wp.constant(12)
-DRAG = wp.constant(13)
-VISCOSITY = wp.constant(14)
-DAMPING = wp.constant(15)
-LIFT = wp.constant(16)
-PUSH = wp.constant(17)
-SHIFTS = wp.constant(18)
-ENDED = wp.constant(19)
-IMPULSE = wp.constant(20)  # three of them
-SLOTS = wp.constant(23)
+STARTED = wp.constant(4)
+FIRST_FLOW = STARTED
+HOLD = wp.constant(5)
+MEMBRANE = wp.constant(6)
+BENDING = wp.constant(7)
+PRESSING = wp.constant(8)
+FLOW = wp.constant(9)
+SPREADING = wp.constant(10)
+SPLITTING = wp.constant(11)
+DRAG = wp.constant(12)
+VISCOSITY = wp.constant(13)
+DAMPING = wp.constant(14)
+LIFT = wp.constant(15)
+PUSH = wp.constant(16)
+SHIFTS = wp.constant(17)
+ENDED = wp.constant(18)
+IMPULSE = wp.constant(19)  # three of them
+WHOLE = wp.constant(22)
+RANGE = wp.constant(23)
+CONTACT = wp.constant(24)
+STRETCH = wp.constant(25)
+LINES = wp.constant(26)
+DEBT = wp.constant(27)
+SLOTS = wp.constant(28)
 
 
 @wp.func
@@ -53,6 +61,51 @@ def begins_region(c: int, parts: int, regions: int) -> bool:
     return c == start
 
 
+@wp.func
+def carried_air(gas: wp.array2d(dtype=wp.float64), g: int, density: float, added: wp.array(dtype=float)) -> float:
+    """Air that a bubble of a foam carries as a whole, beyond what its films take along; 3/2 rho V - A/3 a. kg."""
+    if density == 0.0:
+        return 0.0
+    return 1.5 * density * float(gas[g, VOLUME]) - added[g] * float(gas[g, AREA]) / 3.0
+
+
+@wp.kernel
+def ruffle_e(
+    gamma: wp.array(dtype=float),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    n_e: int,
+    variance: float,
+    asked: wp.array(dtype=wp.int32),
+    # outputs
+    ruffle: wp.array(dtype=float),
+):
+    """Free energy that the means of E do not show, over R T Gamma_0: variance a |grad gamma|^2/(2 gamma). [n_e], m^2.
+
+    E hold the mean of what L carry, over the transfer's kernel: of a wave exp(ikx) exp(-k^2 variance/2) of its size.
+
+    Args:
+        gamma: [n_e] Gamma/Gamma_0.
+        weight: [pairs] a_i a_j K_ij.
+        rows: E:E neighbours.
+        n_e: number of E.
+        variance: of the kernel along an axis, m^2.
+        asked: [1] 1 where what is stored is asked for.
+        ruffle: [n_e] m^2.
+    """
+    i = rows.first + wp.tid()
+    if asked[0] == 0:
+        return
+    own = gamma[i]
+    total = float(0.0)
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        if j < n_e:
+            change = gamma[j] - own
+            total += weight[k] * change * change
+    ruffle[i] = 0.25 * variance * total / own
+
+
 @wp.kernel
 def open_step_chunks(
     mass: wp.array(dtype=float),
@@ -60,7 +113,10 @@ def open_step_chunks(
     area: wp.array(dtype=float),
     kappa: wp.array(dtype=float),
     gamma: wp.array(dtype=float),
+    ruffle: wp.array(dtype=float),
     cover: wp.array(dtype=float),
+    pressed: wp.array(dtype=float),
+    motion: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     tension: wp.array(dtype=float),
@@ -69,17 +125,19 @@ def open_step_chunks(
     added: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
     p_atm: wp.float64,
+    density: float,
+    kept: int,
     closed: int,
     moving: int,
     first: wp.array(dtype=wp.int32),
+    asked: wp.array(dtype=wp.int32),
     # outputs
     part: wp.array2d(dtype=wp.float64),
     before: wp.array(dtype=wp.vec3),
 ):
-    """What is stored at the start of a step, and what the offset of the last one has done.
+    """What is stored at the start of a step.
 
-    The areas are those before the offset d, which changed them by -kappa a d and did the work
-    d sum a (2 sigma kappa + p).
+    The areas are those before the offset d that ended the last one: it changed them by -kappa a d.
 
     Args:
         mass: [n_e] kg.
@@ -87,7 +145,10 @@ def open_step_chunks(
         area: [n_e] m^2.
         kappa: [n_e] sum of the principal curvatures, 1/m.
         gamma: [n_e] Gamma/Gamma_0.
+        ruffle: [n_e] from `ruffle_e`, m^2; null without L or surfactant.
         cover: [n_e] share of a sheet that is one film with another region's; null for a film without regions beyond it.
+        pressed: [n_e] from `press_energy_e`, J; null for a single film.
+        motion: [regions] velocity as a whole, m/s.
         u: [n] m/s.
         normal: [n] unit normals.
         tension: [regions] sigma_0, N/m.
@@ -96,9 +157,12 @@ def open_step_chunks(
         added: [regions] mass of the air that moves along with the normal speed, kg/m^2.
         gas: gas slots.
         p_atm: Pa.
+        density: of the air that bubbles of a foam carry, kg/m^3; 0 without, and for a single film.
+        kept: 1 in a foam whose E know their normal motion alone.
         closed: 1 where there is gas.
         moving: 1 where the surface moves.
         first: see `part_range`.
+        asked: [1] 1 where the energy of the surface is asked for.
         part: parts of the slots KINETIC to STARTED.
         before: [n_e] the velocity, kept for `book_forces_chunks`.
     """
@@ -110,95 +174,197 @@ def open_step_chunks(
     surface = wp.float64(0.0)
     air = wp.float64(0.0)
     bent = wp.float64(0.0)
-    size = wp.float64(0.0)
     for i in range(start, stop):
         v = u[i]
         before[i] = v
         liquid += kinetic(mass[i], v)
-        a = wp.float64(area[i])
-        size += a
-        sides = float(2.0)
-        if cover:
-            sides = 2.0 - cover[i]
-        free = wp.float64(tension[g]) * a
-        sigma = tension[g]
-        if slope > 0.0:
-            free += wp.float64(rt * surfactant[i]) * (wp.log(wp.float64(gamma[i])) - wp.float64(1.0))
-            sigma = sigma - slope * gamma[i]
-        surface += wp.float64(sides) * free
         if moving == 1:
             air += kinetic(added[g] * area[i], wp.dot(v, normal[i]) * normal[i])
+        if asked[0] == 1:
+            a = wp.float64(area[i])
+            sides = float(2.0)
+            if cover:
+                sides = 2.0 - cover[i]
+            free = wp.float64(tension[g]) * a
+            sigma = tension[g]
+            if slope > 0.0:
+                free += wp.float64(rt * surfactant[i]) * (wp.log(wp.float64(gamma[i])) - wp.float64(1.0))
+                sigma = sigma - slope * gamma[i]
+            if ruffle:
+                free += wp.float64(slope * ruffle[i])
+            surface += wp.float64(sides) * free
+            if pressed:
+                surface += wp.float64(pressed[i])
             bent += wp.float64(sides * sigma * kappa[i]) * a
+    part[c, STARTED] = liquid + air
+    whole = wp.float64(wp.length_sq(motion[g])) * wp.float64(0.5)
+    if kept == 1:
+        for i in range(start, stop):
+            liquid += wp.float64(2.0 / 3.0 * mass[i]) * whole
+    if begins_region(c, parts, first.shape[0] - 1):
+        air += wp.float64(carried_air(gas, g, density, added)) * whole
     part[c, KINETIC] = liquid
     part[c, AIR] = air
     part[c, SURFACE] = surface
-    part[c, OFFSETS] = wp.float64(0.0)
     part[c, GAS] = wp.float64(0.0)
-    part[c, STARTED] = liquid + air
     if closed == 1:
         d = gas[g, OFFSET]
         part[c, SURFACE] = surface - d * bent
-        part[c, OFFSETS] = d * (bent + gas[g, GAUGE] * size)
         if begins_region(c, parts, first.shape[0] - 1):
             part[c, GAS] = p_atm * gas[g, VOLUME] - gas[g, AMOUNT] * wp.log(gas[g, VOLUME])
 
 
+@wp.func
+def stretched_bend(surface: Quadric, sigma: float, p: float) -> float:
+    """Second derivative of the energy of a film that moves along its normals as a whole, but for its waves. N/m^3.
+
+    4 sigma K + p kappa with Gauss' curvature K: the area goes as 1 - kappa d + K d^2, the volume as d - kappa d^2/2. It
+    is -2 sigma (k_1^2 + k_2^2) where p = -2 sigma kappa.
+    """
+    b = 2.0 * surface.second
+    kappa = wp.trace(b)
+    gauss = 0.5 * (kappa * kappa - wp.ddot(b, b))
+    return 4.0 * sigma * gauss + p * kappa
+
+
 @wp.kernel
-def bend_film_e(
-    x: wp.array(dtype=wp.vec3),
+def pack_membrane_e(
+    normal: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+    change: wp.array(dtype=float),
+    response: wp.array(dtype=float),
+    gas: wp.array2d(dtype=wp.float64),
+    frame: wp.array(dtype=wp.vec3),
+    theta: wp.array(dtype=float),
+    # outputs
+    pack: wp.array(dtype=wp.vec3),
+):
+    """What `lose_membrane_e` asks of neighbours. [n_e], m/s.
+
+    Args:
+        normal: [n] unit normals.
+        u_mid: [n_e] normal speed that moves E, m/s.
+        change: [n_e] change of the speed by the load, m/s.
+        response: [n_e] by a unit pressure, m/s/Pa.
+        gas: gas slots.
+        frame: [1] velocity of the film as a whole, m/s.
+        theta: [1].
+        pack: [n_e] speed against the film as a whole, change y of the speed in the step, and z: how far the one that
+            moves E is ahead of the mean of those before and after.
+    """
+    i = wp.tid()
+    push = float(gas[0, INCREMENT]) * response[i]
+    own = u_mid[i] - wp.dot(frame[0], normal[i])
+    pack[i] = wp.vec3(own, change[i] + push, (theta[0] - 0.5) * change[i] + 0.5 * push)
+
+
+@wp.kernel
+def lose_membrane_e(
+    u: wp.array(dtype=wp.vec3),
+    before: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
+    mass: wp.array(dtype=float),
     gamma: wp.array(dtype=float),
+    surface: wp.array(dtype=Quadric),
     u_mid: wp.array(dtype=float),
+    pack: wp.array(dtype=wp.vec3),
+    load: wp.array(dtype=float),
+    unit: wp.array(dtype=float),
+    gas: wp.array2d(dtype=wp.float64),
     frame: wp.array(dtype=wp.vec3),
+    found: wp.array(dtype=wp.vec3),
     weight: wp.array(dtype=float),
     rows: Neighbors,
     n_e: int,
     tension: float,
     slope: float,
     bent: float,
+    left_out: wp.array(dtype=float),
+    blur: float,
+    added: float,
+    air: int,
     theta: wp.array(dtype=float),
     dt: wp.array(dtype=float),
     # outputs
     loss: wp.array(dtype=float),
 ):
-    """What the membrane's scheme takes by its forces: (theta - 1/2) d.K d with the way d of E in a step. [n_e], J.
+    """What the scheme of the membrane takes besides `book_forces_chunks`. [n_e], J.
 
-    K = -2 sigma (lap_s + 2/R^2): of a force taken at theta of the way that share is not stored. Rows share
-    pairs evenly.
+    * Of a force taken at theta of the way d, (theta - 1/2) d.K d is not stored, K = -2 sigma lap_s + `stretched_bend`.
+    * The matrix has c (lap_s + s) for the force on its way theta dt du: what it has of s too little or too much does
+      work.
+    * Air: (m + A) y (1 + blur lap_s) = b + c (lap_s + s) y gives the impulse (m + A) y of the change y without solving
+      for it; what is not A y.z of it is booked with the liquid. Translations take along the air's mode n = 1.
 
     Args:
-        x: [n] m.
+        u: [n] velocity at the end of the step, m/s.
+        before: [n_e] at its start, m/s.
         normal: [n] unit normals.
         area: [n_e] m^2.
-        gamma: [n_e] relative surfactant concentration.
+        mass: [n_e] kg.
+        gamma: [n_e] Gamma/Gamma_0.
+        surface: [n_e] fitted surfaces.
         u_mid: [n_e] normal speed that moves E, m/s.
+        pack: [n_e] from `pack_membrane_e`, m/s.
+        load: [n_e] kg m/s.
+        unit: [n_e] of a unit pressure.
+        gas: gas slots.
         frame: [1] velocity of the film as a whole, whose motion bends nothing, m/s.
+        found: [1] the one in place of which it is held, m/s.
         weight: [pairs] a_i a_j K_ij.
         rows: E:E neighbours.
         n_e: number of E; beyond them the film does not move.
         tension: sigma_0, N/m.
         slope: R T Gamma_0, N/m.
-        bent: 2/R^2, 1/m^2.
+        bent: 2/R^2 of the matrix, 1/m^2.
+        left_out: [1] what of c bent is not in it, kg/m^2.
+        blur: m^2.
+        added: mass of the air that translations take along, kg/m^2.
+        air: 1 where the air takes part.
         theta: [1].
         dt: [1] s.
         loss: [n_e] J.
     """
     i = rows.first + wp.tid()
-    loss[i] = 0.0
-    over = theta[0] - 0.5
-    if over == 0.0:
-        return
-    own = u_mid[i] - wp.dot(frame[0], normal[i])
-    total = -bent * area[i] * own * own
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        if j < n_e:
-            change = u_mid[j] - wp.dot(frame[0], normal[j]) - own
-            total += 0.5 * weight[k] * change * change
-        else:
-            total += weight[k] * own * own
-    loss[i] = over * 2.0 * (tension - slope * gamma[i]) * dt[0] * dt[0] * total
+    share = theta[0]
+    h = dt[0]
+    q = float(gas[0, INCREMENT])
+    a = area[i]
+    mine = pack[i]
+    own = mine[0]
+    grown = mine[1]
+    ahead = mine[2]
+    bend = float(0.0)
+    lap = float(0.0)
+    lap_ahead = float(0.0)
+    if air == 1 or share != 0.5:
+        for k in range(rows.start[i], rows.stop[i]):
+            j = rows.index[k]
+            w = weight[k]
+            d = -mine
+            if j < n_e:
+                d = pack[j] - mine
+                w *= 0.5
+            bend += w * d[0] * d[0]
+            lap += weight[k] * d[1]
+            lap_ahead += weight[k] * d[2]
+    sigma = tension - slope * gamma[i]
+    bow = stretched_bend(surface[i], sigma, float(gas[0, GAUGE]))
+    total = (share - 0.5) * h * h * (2.0 * sigma * bend + bow * a * own * own)
+    c = 2.0 * (tension - slope) * share * share * h * h
+    softer = c * bent - left_out[0]
+    total += a * own * grown * (-bow * share * share * h * h - softer)
+    if air == 1:
+        impulse = load[i] + q * unit[i] + c * lap + softer * a * grown
+        total += impulse * (ahead - blur * lap_ahead / a) - mass[i] * grown * ahead
+        n = normal[i]
+        start = wp.dot(before[i] + frame[0] - found[0], n)
+        end = wp.dot(u[i], n)
+        way = u_mid[i] - 0.5 * (start + end)
+        whole = end - start - grown
+        total += added * a * (whole * way + grown * (way - ahead))
+    loss[i] = total
 
 
 @wp.kernel
@@ -212,17 +378,20 @@ def book_forces_chunks(
     found: wp.array(dtype=wp.vec3),
     held: wp.array(dtype=wp.vec3),
     added: wp.array(dtype=float),
+    taken: wp.array(dtype=float),
     bending: wp.array(dtype=float),
-    left_out: wp.array(dtype=float),
     rigid: wp.array(dtype=wp.vec3),
     gamma: wp.array(dtype=float),
     gamma_ahead: wp.array(dtype=float),
+    dilation: wp.array(dtype=float),
     slope: float,
     diffused: wp.array(dtype=wp.vec3),
     body: wp.array(dtype=wp.vec3),
     gravity: wp.vec3,
     drag: float,
+    wind: wp.array(dtype=wp.vec3),
     damping: float,
+    drift: wp.array(dtype=wp.vec3),
     theta: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
     p_atm: wp.float64,
@@ -247,17 +416,20 @@ def book_forces_chunks(
         found: [regions] motion as a whole of `before`, m/s; null where none is held.
         held: [regions] the one that took its place, m/s.
         added: [regions] mass of the air that moves along with the normal speed, kg/m^2.
-        bending: [n_e] from `bend_film_e`, J; null where there is none.
-        left_out: [1] stiffness that the membrane's matrix lacks, kg/m^2.
+        taken: [regions] that translations take along, kg/m^2.
+        bending: [n_e] from `lose_membrane_e`, J; null where there is none.
         rigid: [1] is the pressure p.n that carries the lift, Pa; null where there is none.
         gamma: [n_e] Gamma/Gamma_0 at the start of the step.
-        gamma_ahead: [n_e] after the share theta of the step; null without surfactant.
+        gamma_ahead: [n_e] at which the flow was pushed; null without surfactant.
+        dilation: [n_e] div_s u of the velocity that L move with, 1/s.
         slope: R T Gamma_0, N/m.
         diffused: [n_e] velocity along the film after viscosity, m/s; null without.
         body: [n_e] acceleration by outside forces, m/s^2.
         gravity: its part that is stored as height, m/s^2.
         drag: Pa s/m.
+        wind: [regions] velocity of the air along the film, m/s; null for air at rest.
         damping: rate at which the air takes up normal motion, 1/s.
+        drift: [regions] velocity against which it does, m/s; null for a single film.
         theta: [1] share of the step that the flow along the film is solved for.
         gas: gas slots.
         p_atm: Pa.
@@ -297,12 +469,14 @@ def book_forces_chunks(
             moved = wp.float64(u_mid[i])
             if found:
                 kick = wp.float64(wp.dot(held[g] - found[g], n))
-                hold -= across * kick * (un + wp.float64(0.5) * kick)
+                hold -= (m + wp.float64(taken[g] * area[i])) * kick * (un + wp.float64(0.5) * kick)
                 un += kick
             membrane += across * (end - un) * (moved - wp.float64(0.5) * (un + end))
-            damped += across * wp.float64(damping) * h * moved * moved
+            if drift:
+                against_air = end - wp.float64(wp.dot(drift[g], n))
+                damped += across * wp.float64(damping) * h * against_air * against_air
             if bending:
-                bend += wp.float64(bending[i]) + wp.float64(left_out[0] * area[i]) * moved * (end - un)
+                bend += wp.float64(bending[i])
             if rigid:
                 lift = area[i] * wp.dot(rigid[1], n)
                 lifted += wp.float64(lift) * moved * h
@@ -314,15 +488,19 @@ def book_forces_chunks(
         ahead = along + theta[0] * change
         ended += kinetic(mass[i], last)
         flow += (share - wp.float64(0.5)) * m * wp.float64(wp.length_sq(change))
-        slowed += wp.float64(drag * area[i] * wp.length_sq(ahead)) * h
+        against = drag * area[i] * ahead
+        if wind:
+            against -= drag * area[i] * tangential(wind[g], n)
+        slowed += wp.float64(wp.dot(against, ahead)) * h
         other = mass[i] * (body[i] - gravity)
         pushed += (wp.float64(wp.dot(other, ahead)) + wp.float64(wp.dot(other, n)) * moved) * h
-        outside -= drag * area[i] * ahead
+        outside -= against
         for k in range(3):
             impulse[k] += wp.float64(outside[k]) * h
         if gamma_ahead:
-            rise = wp.float64(gamma_ahead[i] - gamma[i]) / share
-            spread += wp.float64(2.0 * slope * area[i] / gamma[i]) * (share - wp.float64(0.5)) * rise * rise
+            rise = -wp.float64(gamma[i] * dilation[i]) * h
+            ahead_of = wp.float64(gamma_ahead[i] - gamma[i])
+            spread += wp.float64(2.0 * slope * area[i] / gamma[i]) * (ahead_of - wp.float64(0.5) * rise) * rise
         if diffused:
             still = tangential(diffused[i], n)
             viscous += m * wp.float64(wp.dot(along - still, still)) / share
@@ -346,6 +524,394 @@ def book_forces_chunks(
     if closed == 1 and begins_region(c, parts, first.shape[0] - 1):
         swept = gas[g, AMOUNT] / (p_atm + gas[g, GAUGE]) - gas[g, VOLUME]
         part[c, PRESSING] = -wp.float64(0.5) * gas[g, INCREMENT] * swept
+
+
+@wp.kernel
+def book_carried_r(
+    start: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    recoil: wp.array(dtype=wp.vec3),
+    weight: wp.array(dtype=wp.vec4),
+    gas: wp.array2d(dtype=wp.float64),
+    added: wp.array(dtype=float),
+    density: float,
+    kept: int,
+    # outputs
+    part: wp.array2d(dtype=wp.float64),
+):
+    """What the scheme takes of the motion of bubbles as a whole, `carried_air` and liquid. Slots MEMBRANE and DEBT.
+
+    Args:
+        start: [regions] velocity as a whole at the start of the step, m/s.
+        motion: [regions] at its end, m/s.
+        frame: [regions] in it, m/s.
+        recoil: [regions] its part that gives momentum back, m/s.
+        weight: parts of (., ., ., mass), N and kg.
+        gas: gas slots.
+        added: [regions] kg/m^2.
+        density: of the air, kg/m^3.
+        kept: 1 where E know their normal motion alone.
+        part: parts.
+    """
+    g = wp.tid()
+    c, stop = region_parts(g, part.shape[0], start.shape[0])
+    inertia = carried_air(gas, g, density, added)
+    if kept == 1:
+        for k in range(c, stop):
+            inertia += 2.0 / 3.0 * weight[k][3]
+    way = frame[g] - 0.5 * (start[g] + motion[g])
+    part[c, MEMBRANE] = part[c, MEMBRANE] + wp.float64(inertia * wp.dot(motion[g] - start[g], way))
+    part[c, DEBT] = part[c, DEBT] - wp.float64(inertia * wp.dot(recoil[g], frame[g]))
+
+
+@wp.kernel
+def book_whole_r(
+    force: wp.array(dtype=wp.vec3),
+    start: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    share: float,
+    dt: wp.array(dtype=float),
+    # outputs
+    part: wp.array2d(dtype=wp.float64),
+):
+    """What the drag on each film as a whole takes of its energy, and gives it of momentum. Slots WHOLE and IMPULSE.
+
+    Args:
+        force: [regions] mean drag in the step, N.
+        start: [regions] velocity as a whole at the start of the step, m/s.
+        motion: [regions] at its end, m/s.
+        share: of the way from the one to the other at which the film moves.
+        dt: [1] s.
+        part: parts.
+    """
+    g = wp.tid()
+    c, _ = region_parts(g, part.shape[0], force.shape[0])
+    moved = start[g] + share * (motion[g] - start[g])
+    part[c, WHOLE] = -wp.float64(wp.dot(force[g], moved)) * wp.float64(dt[0])
+    for k in range(3):
+        part[c, IMPULSE + k] = part[c, IMPULSE + k] + wp.float64(force[g][k]) * wp.float64(dt[0])
+
+
+@wp.kernel
+def load_air_e(
+    u: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    kept: int,
+    # outputs
+    speed: wp.array(dtype=float),
+):
+    """Normal speed against the film as a whole at the start of the step to come. [n_e], m/s.
+
+    Args:
+        u: [n] m/s.
+        normal: [n] unit normals.
+        motion: [1] m/s.
+        kept: 1 where the step begins with `keep_normal_e`.
+        speed: [n_e] m/s.
+    """
+    i = wp.tid()
+    n = normal[i]
+    own = wp.dot(u[i], n)
+    if kept == 1:
+        own = wp.sign(own) * wp.length(u[i])
+    speed[i] = own - wp.dot(motion[0], n)
+
+
+@wp.kernel
+def air_chunks(
+    speed: wp.array(dtype=float),
+    moved: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    normal: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    added: float,
+    n: int,
+    # outputs
+    part: wp.array(dtype=wp.float64),
+):
+    """Parts of the air's kinetic energy, sum a (v A v + added (U.n)^2)/2, J.
+
+    Args:
+        speed: [n_e] v against the film as a whole, m/s.
+        moved: [n_e] A v, kg/(m s).
+        area: [n_e] m^2.
+        normal: [n] unit normals.
+        motion: [1] U, m/s.
+        added: mass of the air that a translation takes along, kg/m^2.
+        n: number of E.
+        part: J.
+    """
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    total = wp.float64(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        across = wp.dot(motion[0], normal[i])
+        total += wp.float64(0.5 * area[i] * (speed[i] * moved[i] + added * across * across))
+    part[c] = total
+
+
+@wp.kernel
+def book_range_chunks(
+    speed: wp.array(dtype=float),
+    moved: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    found: wp.array(dtype=wp.float64),
+    n: int,
+    after: int,
+    # outputs
+    part: wp.array2d(dtype=wp.float64),
+):
+    """What the motion of E and `slow_air_e` take of the air's energy where it is beyond its range. Slot RANGE.
+
+    Args:
+        speed: [n_e] v against the film as a whole, 0 within the range, m/s.
+        moved: [n_e] A v, kg/(m s).
+        area: [n_e] m^2.
+        found: from `kernels.air_range`.
+        n: number of E.
+        after: 1 once E have moved, 0 before.
+        part: parts.
+    """
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    total = wp.float64(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += wp.float64(0.5 * area[i] * speed[i] * moved[i])
+    if after == 1:
+        if found[AFTER] > found[BEFORE]:
+            total *= found[BEFORE] / found[AFTER]
+        part[c, RANGE] = part[c, RANGE] - total
+    else:
+        part[c, RANGE] = total
+
+
+@wp.func
+def contact_energy(gap: float, spring: float, cling: float, contact: Contact) -> float:
+    """Energy of two sheets that press on each other and cling, J/m^2: minus its slope is `contact.hold`'s pressure."""
+    pressed = wp.max(contact.give - gap, 0.0)
+    return 0.5 * spring * pressed * pressed - cling * near_share(gap, contact.range)
+
+
+@wp.kernel
+def press_energy_e(
+    x: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
+    push: wp.array(dtype=float),
+    facing: Neighbors,
+    contact: Contact,
+    asked: wp.array(dtype=wp.int32),
+    # outputs
+    energy: wp.array(dtype=float),
+):
+    """Energy of the springs between sheets, half of each pair's; what they save by clinging is the cover's. [n_e], J.
+
+    Args:
+        x: [n] m.
+        normal: [n] unit normals.
+        area: [n_e] m^2.
+        region: [n] region of each E.
+        push: [regions] pressure at gap 0, Pa.
+        facing: E of other regions near each E.
+        contact: constants.
+        asked: [1] 1 where what is stored is asked for.
+        energy: [n_e] J.
+    """
+    i = facing.first + wp.tid()
+    if asked[0] == 0:
+        return
+    total = float(0.0)
+    for s in range(facing.start[i], facing.stop[i]):
+        j = facing.index[s]
+        w, _along, gap = meet_sheets(x[j] - x[i], normal[i], normal[j], contact.reach)
+        if w > 0.0 and gap < contact.give:
+            spring = 0.5 * (push[region[i]] + push[region[j]]) / contact.give
+            total += 0.5 * area[i] * area[j] * w * contact_energy(gap, spring, 0.0, contact)
+    energy[i] = total
+
+
+@wp.kernel
+def lose_contact_e(
+    x: wp.array(dtype=wp.vec3),
+    predicted: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
+    density: float,
+    region: wp.array(dtype=wp.int32),
+    added: wp.array(dtype=float),
+    push: wp.array(dtype=float),
+    free: wp.array(dtype=float),
+    change: wp.array(dtype=float),
+    u_mid: wp.array(dtype=float),
+    frame: wp.array(dtype=wp.vec3),
+    facing: Neighbors,
+    contact: Contact,
+    dt: wp.array(dtype=float),
+    # outputs
+    loss: wp.array(dtype=float),
+):
+    """What contact takes of the energy of sheets that move: what was stored less what it did, half of each pair's. J.
+
+    Args:
+        x: [n] m.
+        predicted: [n] where the forces were found, m.
+        normal: [n] unit normals.
+        area: [n_e] m^2.
+        eta: [n_e] m.
+        density: kg/m^3.
+        region: [n] region of each E.
+        added: [regions] mass of the air that moves along, kg/m^2.
+        push: [regions] pressure at gap 0, Pa.
+        free: [n_e] see `contact.find_cover_e`.
+        change: [n_e] of the normal speed in the solve, m/s.
+        u_mid: [n_e] normal speed that moves E, m/s.
+        frame: [regions] velocity as a whole in the step, m/s.
+        facing: E of other regions near each E.
+        contact: constants.
+        dt: [1] s.
+        loss: [n_e] J.
+    """
+    i = facing.first + wp.tid()
+    h = dt[0]
+    n = normal[i]
+    g = region[i]
+    near = contact
+    inertia = density * eta[i] + added[g]
+    way = u_mid[i] * n + tangential(frame[g], n)
+    total = float(0.0)
+    for s in range(facing.start[i], facing.stop[i]):
+        j = facing.index[s]
+        m = normal[j]
+        w, along, gap = meet_sheets(predicted[j] - predicted[i], n, m, contact.reach)
+        if w > 0.0 and gap < contact.range:
+            strength = 0.5 * (push[g] + push[region[j]])
+            both = 0.5 * (inertia + added[region[j]] + density * eta[j])
+            near.cling = 0.5 * (free[i] + free[j]) * contact.cling
+            start = wp.dot(x[j] - x[i], along)
+            _rest, pressure, slope = press(gap, start, strength, both, near, h)
+            used = pressure - slope * h * wp.dot(along, change[j] * m - change[i] * n)
+            moved = h * wp.dot(along, u_mid[j] * m + tangential(frame[region[j]], m) - way)
+            spring = strength / contact.give
+            had = contact_energy(start, spring, near.cling, contact)
+            has = contact_energy(start + moved, spring, near.cling, contact)
+            total += 0.5 * area[i] * area[j] * w * (had - has - used * moved)
+    loss[i] = total
+
+
+@wp.kernel
+def lose_tension_e(
+    normal: wp.array(dtype=wp.vec3),
+    gamma: wp.array(dtype=float),
+    cover: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
+    u_mid: wp.array(dtype=float),
+    frame: wp.array(dtype=wp.vec3),
+    tension: wp.array(dtype=float),
+    slope: float,
+    star: Neighbors,
+    tie: wp.array(dtype=float),
+    lag: float,
+    dt: wp.array(dtype=float),
+    # outputs
+    loss: wp.array(dtype=float),
+):
+    """What tension takes that is that of `lag` after the end of the step: (1/2 + lag/dt) d.K d with the way d. J.
+
+    Args:
+        normal: [n] unit normals.
+        gamma: [n_e] relative surfactant concentration.
+        cover: [n_e] c.
+        region: [n] region of each E.
+        u_mid: [n_e] normal speed that moves E, m/s.
+        frame: [regions] velocity as a whole in the step, m/s.
+        tension: [regions] sigma_0, N/m.
+        slope: R T Gamma_0, N/m.
+        star: neighbours across the cell's edges.
+        tie: [CORNERS n_e] their w_ij.
+        lag: s.
+        dt: [1] s.
+        loss: [n_e] J.
+    """
+    i = star.first + wp.tid()
+    h = dt[0]
+    g = region[i]
+    n = normal[i]
+    own = u_mid[i] * n + tangential(frame[g], n)
+    total = float(0.0)
+    for s in range(star.start[i], star.stop[i]):
+        j = star.index[s]
+        sigma = tension[g] - 0.5 * slope * (gamma[i] + gamma[j])
+        c = sigma * (2.0 - 0.5 * (cover[i] + cover[j])) * tie[s]
+        total += 0.5 * c * wp.length_sq(u_mid[j] * normal[j] + tangential(frame[g], normal[j]) - own)
+    loss[i] = h * (0.5 * h + lag) * total
+
+
+@wp.kernel
+def book_foam_chunks(
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    normal: wp.array(dtype=wp.vec3),
+    vector: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+    load: wp.array(dtype=float),
+    force: wp.array(dtype=wp.vec3),
+    foot: wp.array(dtype=wp.vec3),
+    ahead: wp.array(dtype=float),
+    missing: wp.array(dtype=wp.vec3),
+    added: wp.array(dtype=float),
+    recoil: wp.array(dtype=wp.vec3),
+    tension: wp.array(dtype=float),
+    contact: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
+    dt: wp.array(dtype=float),
+    # outputs
+    part: wp.array2d(dtype=wp.float64),
+):
+    """What foams do besides `book_forces_chunks`. Slots CONTACT, STRETCH, LINES and DEBT.
+
+    Args:
+        mass: [n_e] kg.
+        area: [n_e] m^2.
+        normal: [n] unit normals.
+        vector: [n_e] gradient of the volume, m^2.
+        u_mid: [n_e] normal speed that moves E, m/s.
+        load: [n_e] from `lines.gather_load_e`, N.
+        force: [n_e] tension and contact, N.
+        foot: [n_e] menisci along their walls, N.
+        ahead: [regions] predicted gauge pressure, Pa.
+        missing: [regions] m/s^2.
+        added: [regions] kg/m^2.
+        recoil: [regions] m/s.
+        tension: [n_e] from `lose_tension_e`, J.
+        contact: [n_e] from `lose_contact_e`, J.
+        first: see `part_range`.
+        dt: [1] s.
+        part: parts.
+    """
+    c = wp.tid()
+    parts = part.shape[0]
+    g = part_region(c, first, parts)
+    start, stop = part_range(c, first, parts)
+    stretched = wp.float64(0.0)
+    pressed = wp.float64(0.0)
+    passed = wp.float64(0.0)
+    paid = wp.float64(0.0)
+    for i in range(start, stop):
+        n = normal[i]
+        m = mass[i] + added[g] * area[i]
+        stretched += wp.float64(tension[i])
+        pressed += wp.float64(contact[i])
+        own = wp.dot(force[i] + foot[i] + ahead[g] * vector[i], n)
+        passed -= wp.float64(dt[0] * (load[i] - own + m * wp.dot(missing[g], n)) * u_mid[i])
+        paid -= wp.float64(m * wp.dot(recoil[g], n) * u_mid[i])
+    part[c, STRETCH] = stretched
+    part[c, CONTACT] = pressed
+    part[c, LINES] = passed
+    part[c, DEBT] = paid
 
 
 @wp.kernel
@@ -377,11 +943,13 @@ def settle_step(
     part: wp.array2d(dtype=wp.float64),
     # outputs
     book: wp.array2d(dtype=wp.float64),
+    asked: wp.array(dtype=wp.int32),
 ):
-    """Add what the last step did to the flows, and note what is stored now.
+    """Add what the last step did to the flows, and note what is stored now where it is asked for.
 
     Args:
         part: parts of all slots.
+        asked: [1] 1 where what is stored is asked for; 0 afterwards.
         book: [4, SLOTS] what is stored now, what was at the start of the first step, sums of the flows over the steps
             (J), and first in the last row the number of steps that were begun.
     """
@@ -392,11 +960,13 @@ def settle_step(
         for c in range(part.shape[0]):
             total += part[c, s]
         if s < FIRST_FLOW:
-            book[0, s] = total
+            if asked[0] == 1:
+                book[0, s] = total
             if begun == wp.float64(0.0):
                 book[1, s] = total
         elif begun > wp.float64(0.0):
             book[2, s] = book[2, s] + total
+    asked[0] = 0
 
 
 @wp.kernel
@@ -412,12 +982,18 @@ def lie_chunks(
     """Parts of mass, surfactant, sum m x and momentum of particles. Slots 0, 1, 2-4, 5-7; kg, mol, kg m, kg m/s."""
     c = wp.tid()
     size = (n + part.shape[0] - 1) // part.shape[0]
-    for s in range(part.shape[1]):
-        part[c, s] = wp.float64(0.0)
+    liquid = wp.float64(0.0)
+    amount = wp.float64(0.0)
+    place = wp.vec3d()
+    momentum = wp.vec3d()
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         m = wp.float64(mass[i])
-        part[c, 0] = part[c, 0] + m
-        part[c, 1] = part[c, 1] + wp.float64(surfactant[i])
-        for k in range(3):
-            part[c, 2 + k] = part[c, 2 + k] + m * wp.float64(x[i][k])
-            part[c, 5 + k] = part[c, 5 + k] + m * wp.float64(u[i][k])
+        liquid += m
+        amount += wp.float64(surfactant[i])
+        place += m * wp.vec3d(x[i])
+        momentum += m * wp.vec3d(u[i])
+    part[c, 0] = liquid
+    part[c, 1] = amount
+    for k in range(3):
+        part[c, 2 + k] = place[k]
+        part[c, 5 + k] = momentum[k]

@@ -16,7 +16,9 @@ import warp as wp
 
 from melp_warp.film import Film
 from melp_warp.kernels import budget as kb
-from melp_warp.launch import launch
+from melp_warp.kernels.boundary import vec7d
+from melp_warp.launch import copy, launch
+from melp_warp.linear import RationalLaplacian
 from melp_warp.notices import Notices
 from melp_warp.state import State
 
@@ -34,6 +36,16 @@ RAISED = 0.001
 
 FAINTEST = 1e-7
 """Least energy that moves over what is stored in the surfaces: what float32 tells apart."""
+
+
+AIR_TOLERANCE = 3e-2
+"""Relative residual of the air's momentum; that of its energy is about its square."""
+
+VARIANCE = 0.48309 - 0.22538
+"""That of the transfer's kernel along an axis, less what gradients by linear fits fall short of, over (r/3)^2.
+
+Both are moments of the quintic spline, <x^2> and <x^4>/(6 <x^2>).
+"""
 
 
 @dataclass(frozen=True)
@@ -61,18 +73,24 @@ TERMS = (
     Term("gravity", STORE, "height of the liquid, since the start"),
     Term("lift", WORK, "the lighter gas that carries the film", ((kb.LIFT, 1),)),
     Term("push", WORK, "other forces from outside", ((kb.PUSH, 1),)),
+    Term("air_drag", DISSIPATION, "drag of the air on films as a whole", ((kb.WHOLE, 1),)),
     Term("drag", DISSIPATION, "drag of the air along the film", ((kb.DRAG, 1),)),
     Term("viscosity", DISSIPATION, "viscosity of the flow in the film", ((kb.VISCOSITY, 1),)),
     Term("damping", DISSIPATION, "normal motion that the air takes up", ((kb.DAMPING, 1),)),
     Term("membrane", LOSS, "scheme of the normal motion", ((kb.MEMBRANE, 1), (kb.BENDING, 1), (kb.PRESSING, 1))),
+    Term("stretch", LOSS, "tension of foams, that of a little later", ((kb.STRETCH, 1),)),
+    Term("contact", LOSS, "sheets that are stopped where they meet", ((kb.CONTACT, 1),)),
+    Term("lines", LOSS, "force passed on along lines", ((kb.LINES, 1),)),
+    Term("debt", LOSS, "momentum of foams given back", ((kb.DEBT, 1),)),
     Term("flow", LOSS, "scheme of the flow along the film", ((kb.FLOW, 1), (kb.SPREADING, 1))),
     Term("splitting", LOSS, "viscosity solved apart from the flow", ((kb.SPLITTING, 1),)),
     Term("hold", LOSS, "momentum of the film as a whole held", ((kb.HOLD, 1),)),
+    Term("rim", LOSS, "what the rim takes: motion, and liquid with its height"),
     Term(
         "transfer", LOSS, "from E to L, along with L, back to E; normals that turn", ((kb.ENDED, 1), (kb.STARTED, -1))
     ),
+    Term("air_range", LOSS, "air beyond its range, kept from making energy", ((kb.RANGE, 1),)),
     Term("redistribution", LOSS, "shifts of E", ((kb.SHIFTS, 1),)),
-    Term("offset", LOSS, "surface moved to hold the volume", ((kb.OFFSETS, 1),)),
     Term("events", LOSS, "films that popped or merged, and those that came"),
 )
 """All terms: whoever adds a phenomenon adds a line here and a kernel that fills its slot.
@@ -89,10 +107,11 @@ class Reading:
         stored: terms stored at the start of the last step, J.
         opened: at the start of the first.
         flows: what all steps but the last have done, J.
-        height: energy of the liquid's height, J.
-        liquid: kg.
+        weighed: terms that are summed up on the host's word alone, by `Budget.weigh`, J.
+        rim: energy that the rim has taken, of motion and of all else, J.
+        liquid: that of the border included, kg.
         surfactant: on one interface, mol.
-        momentum: [3] of the liquid, kg m/s.
+        momentum: [3] of the liquid and of what the rim has taken, kg m/s.
         impulse: [3] of outside forces in all steps but the last, kg m/s.
         fresh: whether there was no step yet.
     """
@@ -100,7 +119,8 @@ class Reading:
     stored: dict[str, float]
     opened: dict[str, float]
     flows: dict[str, float]
-    height: float
+    weighed: dict[str, float]
+    rim: tuple[float, float]
     liquid: float
     surfactant: float
     momentum: np.ndarray
@@ -125,22 +145,44 @@ class Budget:
         self.before = film.zeros(film.n_e, wp.vec3)
         self._no_air = film.zeros(film.regions)
         self._whole = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
-        self._bending = film.zeros(film.n_e) if f.moving and not f.foam else None
+        self._bending, self._packed = None, None
+        if f.moving and not f.foam:
+            self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
+        self._asked = wp.zeros(1, dtype=wp.int32, device=film.device)
+        self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
+        self._ruffle = film.zeros(film.n_e) if f.lagrangian and f.marangoni else None
+        self._pressed, self._stretched, self._touched = (
+            (film.zeros(film.n_e) for _ in range(3)) if f.foam else 3 * (None,)
+        )
+        self._rim = stepper.rim if f.collects else None
+        if self._rim is not None:
+            self._taken, self._border = film.parts(vec7d), wp.clone(state.border)
 
     def open_step(self) -> None:
         """Note what is stored, once E hold what L carry, and settle the step before."""
-        film, e, m, s = self.film, self.state.e, self.film.material, self._stages
-        cover = s.membrane.cover if film.features.foam else None
+        film, e, s = self.film, self.state.e, self._stages
+        if self._ruffle is not None:
+            variance = VARIANCE * (film.r / 3.0) ** 2
+            inputs = [s.fields.gamma, s.geometry.weight, s.lists.ee.rows, film.n_e, variance, self._asked]
+            film.launch_e(kb.ruffle_e, inputs, [self._ruffle])
+        cover = None
+        if film.features.foam:
+            m, g = s.membrane, s.geometry
+            inputs = [e.x, e.normal, g.share, e.region, m.push, s.lists.eo.rows, m.contact, self._asked]
+            film.launch_e(kb.press_energy_e, inputs, [self._pressed])
+            cover = m.cover
         film.launch_parts(
             kb.open_step_chunks,
             [
-                *(e.mass, e.surfactant, s.geometry.area, s.geometry.kappa, s.fields.gamma, cover, e.u, e.normal),
-                *(film.tension, film.slope, m.rt, self._air(), self.state.gas, film.surroundings.pressure),
-                *(int(film.features.closed), int(film.features.moving), film.first),
+                *(e.mass, e.surfactant, s.geometry.area, s.geometry.kappa, s.fields.gamma, self._ruffle),
+                *(cover, self._pressed, self.state.motion, e.u, e.normal),
+                *(film.tension, film.slope, film.material.rt, self._air(), self.state.gas, film.surroundings.pressure),
+                *(*self._carried(), int(film.features.closed), int(film.features.moving), film.first),
+                self._asked,
             ],
             [self.part, self.before],
         )
-        film.launch_one(kb.settle_step, [self.part], [self.book])
+        film.launch_one(kb.settle_step, [self.part], [self.book, self._asked])
 
     def book_forces(self) -> None:
         """Book what the forces of a step have done, once E have the velocity of its end."""
@@ -149,29 +191,94 @@ class Budget:
         f = film.features
         held = f.moving and f.closed
         if self._bending is not None:
-            film.launch_e(
-                kb.bend_film_e,
-                [
-                    *(e.x, e.normal, s.geometry.area, s.fields.gamma, membrane.u_mid, membrane.start),
-                    *(s.geometry.weight, s.lists.ee.rows, film.n_e, film.material.tension, film.slope),
-                    *(2.0 / film.radius**2, membrane.share, s.dt.array),
-                ],
-                [self._bending],
-            )
+            self._lose_membrane()
         film.launch_parts(
             kb.book_forces_chunks,
             [
                 *(e.mass, s.geometry.area, e.normal, self.before, e.u, membrane.u_mid if f.moving else None),
                 *((membrane.found, membrane.start) if held else (None, None)),
-                *(self._air(), self._bending, membrane.response.left_out if self._bending is not None else None),
+                *(self._air(), membrane.taken if f.moving else None, self._bending),
                 membrane.rigid if held and not f.foam else None,
-                *(s.fields.gamma, flow.solver.x if flow and flow.solver else None, film.slope),
+                *(s.fields.gamma, flow.solver.x if flow and flow.solver else None),
+                *(flow.dilation if flow else None, film.slope),
                 *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.gravity),
-                *(film.surroundings.drag, film.surroundings.damping, flow.theta if flow else self._whole),
+                *(film.surroundings.drag, flow.wind if flow else None, film.surroundings.damping),
+                membrane.drift if f.foam else None,
+                flow.theta if flow else self._whole,
                 *(self.state.gas, film.surroundings.pressure, int(f.closed), s.dt.array, film.first),
             ],
             [self.part],
         )
+        if f.foam:
+            self._book_foam()
+        if f.dragged:
+            film.launch_regions(kb.book_whole_r, [membrane.drag.force, *self._path(), s.dt.array], [self.part])
+
+    def _path(self) -> list:
+        """Velocities as a whole that the films move at in a step: two and the share of the way between them."""
+        membrane = self._stages.membrane
+        if self.film.features.foam:
+            return [membrane.frame, membrane.frame, 0.0]
+        return [membrane.start, self.state.motion, membrane.theta_whole]
+
+    def _book_foam(self) -> None:
+        film, e, s, g = self.film, self.state.e, self._stages, self._stages.geometry
+        m, dt = s.membrane, s.dt.array
+        film.launch_e(
+            kb.lose_contact_e,
+            [
+                *(e.x, m.predicted, e.normal, g.share, s.fields.eta, film.material.density, e.region, m.added, m.push),
+                *(m.free, m.response.x, m.u_mid, m.frame, s.lists.eo.rows, m.contact, dt),
+            ],
+            [self._touched],
+        )
+        film.launch_e(
+            kb.lose_tension_e,
+            [
+                *(e.normal, s.fields.gamma, m.cover, e.region, m.u_mid, m.frame, film.tension, film.slope),
+                *(g.star, g.tie, m.contact.lag, dt),
+            ],
+            [self._stretched],
+        )
+        film.launch_parts(
+            kb.book_foam_chunks,
+            [
+                *(e.mass, g.area, e.normal, g.vector, m.u_mid, m.load, m.force, m.foot, m.ahead, m.missing, m.added),
+                *(m.recoil, self._stretched, self._touched, film.first, dt),
+            ],
+            [self.part],
+        )
+        film.launch_regions(
+            kb.book_carried_r,
+            [m.start, self.state.motion, m.frame, m.recoil, m.weight, self.state.gas, m.added, *self._carried()],
+            [self.part],
+        )
+
+    def _lose_membrane(self) -> None:
+        film, e, s = self.film, self.state.e, self._stages
+        membrane, geometry = s.membrane, s.geometry
+        response, bent = membrane.response, 2.0 / film.radius**2
+        moved = [membrane.u_mid, response.load.x, response.unit.x, self.state.gas, membrane.start, membrane.share]
+        film.launch_e(kb.pack_membrane_e, [e.normal, *moved], [self._packed])
+        film.launch_e(
+            kb.lose_membrane_e,
+            [
+                *(e.u, self.before, e.normal, geometry.area, e.mass, s.fields.gamma, geometry.surface),
+                *(membrane.u_mid, self._packed, response.load.b, response.unit.b, self.state.gas),
+                *(membrane.start, membrane.found, geometry.weight, s.lists.ee.rows, film.n_e),
+                *(film.material.tension, film.slope, bent, response.left_out, membrane.blur, membrane.rigid_air),
+                *(int(self._air_solver is not None), membrane.share, s.dt.array),
+            ],
+            [self._bending],
+        )
+
+    def book_range(self, after: bool) -> None:
+        """Book what becomes of the energy of air beyond its range as E move: before they do, and `after`."""
+        beyond = getattr(self._stages.membrane, "air_range", None)
+        if beyond is not None:
+            solver, n = beyond.solver, self.film.n_e
+            inputs = [solver.b, solver.x, self._stages.geometry.area, beyond.found, n, int(after)]
+            self.film.launch_parts(kb.book_range_chunks, inputs, [self.part])
 
     def book_shifts(self) -> None:
         """Book what shifts of E have done to their velocities."""
@@ -183,8 +290,12 @@ class Budget:
         )
 
     def weigh(self) -> None:
-        """Note where the liquid lies; on the host's word alone, as only the last step of a frame needs it."""
+        """Have the step to come note what is stored: on the host's word, as only the last one of a frame needs it.
+
+        Where the liquid lies, what the air has and what the rim took is summed up at once.
+        """
         film, state = self.film, self.state
+        self._asked.fill_(1)
         p, n = (state.l, film.n_l) if state.l is not None else (state.e, film.n_e)
         launch(
             kb.lie_chunks,
@@ -193,6 +304,35 @@ class Budget:
             [self._lying],
             film.device,
         )
+        if self._air_solver is not None:
+            self._weigh_air()
+        if self._rim is not None:
+            self._rim.taken(self._taken)
+            copy(self._border, state.border)
+
+    def _make_air(self) -> RationalLaplacian | None:
+        """What finds the momentum of the air around a single film; None where a film has none."""
+        film, s = self.film, self._stages
+        if not film.features.air or film.features.foam or film.features.explicit:
+            return None
+        arrays = [s.geometry.weight, s.geometry.area, s.lists.ee.rows]
+        solver = RationalLaplacian(film.n_e, film.total, *arrays, AIR_TOLERANCE, None, film.device)
+        response = s.membrane.response
+        solver.set_function(*(p.astype(complex) for p in response.poles), response.low)
+        return solver
+
+    def _weigh_air(self) -> None:
+        film, e, solver, motion = self.film, self.state.e, self._air_solver, self.state.motion
+        kept = int(not film.features.lagrangian)
+        film.launch_e(kb.load_air_e, [e.u, e.normal, motion, kept], [solver.b])
+        solver.solve()
+        area, added = self._stages.geometry.area, self._stages.membrane.rigid_air
+        film.launch_parts(kb.air_chunks, [solver.b, solver.x, area, e.normal, motion, added, film.n_e], [self._airs])
+
+    def _carried(self) -> tuple[float, int]:
+        """Density of the air that bubbles carry as a whole, and whether E of a foam know their normal motion alone."""
+        film, f = self.film, self.film.features
+        return film.surroundings.air_density if f.foam and f.air else 0.0, int(f.foam and not f.lagrangian)
 
     def _air(self) -> wp.array:
         return self._stages.membrane.added if self.film.features.foam else self._no_air
@@ -201,13 +341,20 @@ class Budget:
         """What has been summed up so far (reads back)."""
         stored, opened, flow, begun = self.book.numpy()
         liquid, surfactant, *lying = self._lying.numpy().sum(axis=0).tolist()
-        place = np.array(lying[:3]) + liquid * self.state.origin
+        lifted = np.zeros(3) if self._rim is not None else liquid * self.state.origin
+        weighed = {"gravity": -float(np.dot(self.film.surroundings.gravity, lying[:3] + lifted))}
+        if self._air_solver is not None:
+            weighed["air"] = float(self._airs.numpy().sum())
+        taken = np.zeros(7)
+        if self._rim is not None:
+            taken = self._taken.numpy().sum(axis=0) + self._border.numpy()
         return Reading(
             *(_sums(values) for values in (stored, opened, flow)),
-            height=-float(np.dot(self.film.surroundings.gravity, place)),
-            liquid=liquid,
-            surfactant=surfactant,
-            momentum=np.array(lying[3:]),
+            weighed=weighed,
+            rim=tuple(taken[5:].tolist()),
+            liquid=liquid + float(taken[0]),
+            surfactant=surfactant + float(taken[1]),
+            momentum=np.array(lying[3:]) + taken[2:5],
             impulse=flow[kb.IMPULSE : kb.IMPULSE + 3].copy(),
             fresh=begun[0] == 0.0,
         )
@@ -215,7 +362,7 @@ class Budget:
     def pending(self) -> dict[str, float]:
         """What the last step has done, which is not among the flows yet, J (reads back)."""
         step = self.part.numpy().sum(axis=0)
-        step[[kb.OFFSETS, kb.STARTED, kb.ENDED]] = 0.0  # counted, or on the way
+        step[[kb.STARTED, kb.ENDED]] = 0.0  # counted, or on the way
         return _sums(step)
 
 
@@ -245,15 +392,14 @@ class Ledger:
     """The budget of a run, frame by frame, over changes of regions too: plain numbers, a part of the state.
 
     Attributes:
-        whole: whether all terms are known. The energy of the air around a single film and that of contact in a foam
-            are not yet: the rest says nothing there.
         time: that of the last reading, s.
         stores: name -> J.
         flows: name -> J since the start.
         rest: what the stores hold more than the flows explain, J.
+        worst: the largest that it has been, J.
         moved: largest of kinetic energy and what has been dissipated and lost so far, J: the rest is measured by it.
         start: stores at the start, name -> J; empty before the first step.
-        height: energy of the liquid's height at the start of the run, or where its regions changed last, J.
+        weighed: what `Budget.weigh` found at the start of the run, or where its regions changed last, J.
         past: flows of the budgets before, up to the last change of regions, J.
         pushed: [3] impulse of outside forces up to then, kg m/s.
         impulse: [3] the same up to now, kg m/s.
@@ -264,14 +410,14 @@ class Ledger:
         balance: what has changed since the start.
     """
 
-    whole: bool = True
     time: float = 0.0
     stores: dict[str, float] = field(default_factory=dict)
     flows: dict[str, float] = field(default_factory=_no_flows)
     rest: float = 0.0
+    worst: float = 0.0
     moved: float = 0.0
     start: dict[str, float] = field(default_factory=dict)
-    height: float = 0.0
+    weighed: dict[str, float] = field(default_factory=dict)
     past: dict[str, float] = field(default_factory=_no_flows)
     pushed: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     impulse: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -283,33 +429,37 @@ class Ledger:
 
     @property
     def share(self) -> float:
-        """Rest over what moves, 0 where nothing does that float32 could tell."""
+        """Largest rest so far over what moves, 0 where nothing does that float32 could tell."""
         least = FAINTEST * abs(self.stores.get("surface", 0.0))
-        return abs(self.rest) / self.moved if self.moved > least else 0.0
+        return self.worst / self.moved if self.moved > least else 0.0
 
     def open(self, reading: Reading) -> None:
         """Take the place of the liquid at the start of a run, or of one that goes on with other regions."""
         if not self.momentum:
             self.liquid, self.surfactant = reading.liquid, reading.surfactant
             self.momentum = reading.momentum.tolist()
-        self.height = reading.height
+        self.weighed = reading.weighed
 
     def take(self, reading: Reading, time: float) -> None:
         """Go on to a reading at `time` (s)."""
         if reading.fresh:
             return
         if not self.start:
-            self.start = self._stores(reading.opened, self.height)
+            self.start = self._stores(reading.opened, self.weighed)
         if self.owed is not None:
-            opened = sum(self._stores(reading.opened, self.height).values())
+            opened = sum(self._stores(reading.opened, self.weighed).values())
             self.past["events"] += self.owed - opened
             self.owed = None
-        self.time, self.stores = time, self._stores(reading.stored, reading.height)
+        self.time, self.stores = time, self._stores(reading.stored, reading.weighed)
         self.flows = {name: past + reading.flows[name] for name, past in self.past.items()}
+        self.flows["rim"] += sum(reading.rim)
+        self.flows["transfer"] -= reading.rim[0]  # which E with L of which the rim took it lack
         self.impulse = (np.array(self.pushed) + reading.impulse).tolist()
         self.rest = sum(self.stores.values()) - sum(self.start.values()) + _spent(self.flows)
+        self.worst = max(self.worst, abs(self.rest))
         spent = sum(self.flows[name] for kind in (DISSIPATION, LOSS) for name in _of(kind))
-        self.moved = max(self.moved, self.stores["kinetic"] + self.stores["air"] + spent)
+        motion = self.stores["kinetic"] + self.stores["air"]
+        self.moved = max(self.moved, motion + max(spent, 0.0))
         self.balance = {
             "liquid": reading.liquid / self.liquid - 1.0,
             "surfactant": reading.surfactant / self.surfactant - 1.0 if self.surfactant > 0.0 else 0.0,
@@ -325,10 +475,11 @@ class Ledger:
         self.pushed = list(self.impulse)
         self.owed = sum(self.stores.values()) - _spent(pending)
 
-    def remark(self, notices: Notices) -> None:
-        """Note a rest that is too large."""
-        if self.whole and self.share > UNEXPLAINED:
-            notices.note(
+    def remark(self, notices: Notices, frame: int) -> None:
+        """Note, once a run is done with `frame`, a rest that was too large."""
+        if self.share > UNEXPLAINED:
+            notices.add(
+                frame,
                 "energy budget",
                 self.share,
                 f"{100.0 * self.share:.3g} % of the energy that moves is unexplained,"
@@ -348,9 +499,8 @@ class Ledger:
             "rest": self.rest,
             "moved": self.moved,
             "share": self.share,
-            "whole": self.whole,
             "balance": dict(self.balance),
         }
 
-    def _stores(self, sums: Mapping[str, float], height: float) -> dict[str, float]:
-        return {name: sums[name] for name in _of(STORE)} | {"gravity": height}
+    def _stores(self, sums: Mapping[str, float], weighed: Mapping[str, float]) -> dict[str, float]:
+        return {name: sums[name] for name in _of(STORE)} | dict(weighed)

@@ -133,19 +133,20 @@ class FoamMembrane:
         n = film.n_e
         self.contact = make_contact(film)
         memory = state.memory
-        self.cover, self._faced, self._free = memory.cover, film.zeros(n), film.zeros(n)
-        self.predicted, self.force, self._rest, self._foot = (film.zeros(n, wp.vec3) for _ in range(4))
+        self.cover, self._faced, self.free = memory.cover, film.zeros(n), film.zeros(n)
+        self.predicted, self.force, self._rest, self.foot = (film.zeros(n, wp.vec3) for _ in range(4))
         self._braked = film.zeros(n, wp.vec2)
-        self.u_mid, self._load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
+        self.u_mid, self.load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start, self.frame, self.passed = (film.zeros(film.regions, wp.vec3) for _ in range(3))
         self.drag = AirDrag(film, state) if film.features.dragged else None
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent = film.zeros(film.regions)
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
+        self.taken = self.added
         self.whole = film.zeros(film.regions)
-        self._fall, self._missing, self._recoil, self.found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
-        self._balance, self._drift, self._pull = (film.zeros(film.regions, wp.vec3) for _ in range(3))
-        self._held, self._weight = film.zeros(film.regions), film.parts(wp.vec4)
+        self._fall, self.missing, self.recoil, self.found = (film.zeros(film.regions, wp.vec3) for _ in range(4))
+        self._balance, self.drift, self._pull = (film.zeros(film.regions, wp.vec3) for _ in range(3))
+        self._held, self.weight = film.zeros(film.regions), film.parts(wp.vec4)
         self._sought, self._owed, self._spin = memory.sought, memory.owed, memory.spin
         self._place = film.zeros(film.regions, wp.vec3)
         self._alone = wp.array(np.arange(film.regions, dtype=np.int32), device=film.device)
@@ -219,7 +220,7 @@ class FoamMembrane:
         film.launch_e(
             kc.find_cover_e,
             [x, e.normal, self.geometry.share, self.lists.eo.rows, self.lists.ee.rows, self.contact],
-            [self.cover, self._faced, self._free],
+            [self.cover, self._faced, self.free],
         )
 
     def nearest_regions(self) -> np.ndarray:
@@ -266,7 +267,7 @@ class FoamMembrane:
         self._assemble(dt)
         solver.solve()
         self._pay_debt()
-        film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self._recoil], [e.u])
+        film.launch_e(kf.apply_foam_e, [e.normal, e.region, solver.x, self.recoil], [e.u])
         self._find_motion(self.state.motion)
         self._find_frame(dt)
         self._sweep()
@@ -312,11 +313,11 @@ class FoamMembrane:
     def _fall_freely(self, dt: wp.array) -> None:
         """What outside forces do to each region as a whole."""
         film, e = self.film, self.state.e
-        film.launch_parts(ko.weight_chunks, [e.mass, self.forces.body, film.first], [self._weight])
+        film.launch_parts(ko.weight_chunks, [e.mass, self.forces.body, film.first], [self.weight])
         air = film.surroundings.air_density if film.features.air else 0.0
         film.launch_regions(
             ko.carry_motion_r,
-            [self._weight, self._inertia, self.state.gas, air],
+            [self.weight, self._inertia, self.state.gas, air],
             [self.whole, self.response.rigid, self._fall],
         )
         arrays = [e.normal, e.mass, self.geometry.area, self.forces.body, self._bare, film.first]
@@ -334,7 +335,7 @@ class FoamMembrane:
         film.launch_parts(kl.gained_chunks, arrays, parts)
         film.launch_regions(kl.owe_r, [*parts, self._paid.array], debt)
         wall = [self._touch, self.contact, self._share.array]
-        film.launch_regions(kl.pay_debt_r, [*debt, self._cluster, self.whole, *wall], [self._recoil])
+        film.launch_regions(kl.pay_debt_r, [*debt, self._cluster, self.whole, *wall], [self.recoil])
 
     def _find_clusters(self) -> None:
         """Number of each region's cluster: those near each other, those near them, and so on; its drift."""
@@ -347,7 +348,7 @@ class FoamMembrane:
             before = self._cluster
         film.launch_parts(kl.touch_chunks, [self.state.e.x, self.contact, film.first], [self._touch])
         of_regions = [self.state.motion, self.whole, self._fall, self._cluster, self._touch]
-        film.launch_regions(kl.find_drift_r, of_regions, [self._drift, self._pull, self._held])
+        film.launch_regions(kl.find_drift_r, of_regions, [self.drift, self._pull, self._held])
 
     def _sweep(self) -> None:
         film, e = self.film, self.state.e
@@ -368,10 +369,10 @@ class FoamMembrane:
             kc.press_foam_e,
             [
                 *(e.x, self.predicted, e.normal, geometry.share, geometry.vector),
-                *(self.fields.eta, film.material.density, e.region, self.added, self.push, self._faced, self._free),
+                *(self.fields.eta, film.material.density, e.region, self.added, self.push, self._faced, self.free),
                 *(self.lists.eo.rows, self.lists.ee.rows, self.contact, self._stride, dt),
             ],
-            [self.force, self._rest, self._foot, operator.diag, operator.rows, operator.pair, self.wanted],
+            [self.force, self._rest, self.foot, operator.diag, operator.rows, operator.pair, self.wanted],
         )
         ee, vector = self.lists.ee.rows, geometry.vector
         most = MOST * 0.5 * self.contact.cling * film.spacing
@@ -386,21 +387,21 @@ class FoamMembrane:
         film.launch_e(
             kl.gather_load_e,
             [
-                *(e.normal, vector, e.region, self.ahead, self.force, self._foot, self._sought),
+                *(e.normal, vector, e.region, self.ahead, self.force, self.foot, self._sought),
                 *(geometry.near, ee, film.r, most),
             ],
-            [self._load],
+            [self.load],
         )
         film.launch_parts(
-            kl.missing_chunks, [e.normal, self.force, self._rest, self._foot, self._load, film.first], [self._momentum]
+            kl.missing_chunks, [e.normal, self.force, self._rest, self.foot, self.load, film.first], [self._momentum]
         )
         arrays = [self._momentum, self._inertia, self._touch, self.contact]
-        film.launch_regions(kl.find_missing_r, arrays, [self._missing])
+        film.launch_regions(kl.find_missing_r, arrays, [self.missing])
         film.launch_e(
             kf.load_foam_e,
             [
-                *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._balance, self._missing),
-                *(self._drift, self._held, self.added, film.surroundings.damping, e.u, self._load, dt),
+                *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._balance, self.missing),
+                *(self.drift, self._held, self.added, film.surroundings.damping, e.u, self.load, dt),
             ],
             [
                 self.response.b,

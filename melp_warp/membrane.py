@@ -196,6 +196,8 @@ class Membrane:
         theta_whole: the same for the motion of the film as a whole, which has no stiffness.
         share: [1] theta; 0 for the explicit scheme, which takes the force where the film is.
         ahead: [1] theta dt, s: how far ahead the force is taken; 0 for the explicit scheme.
+        rigid_air: air that a translation takes along, kg/m^2; `taken` [regions] the same.
+        blur: of the curvature, for which the inertia makes up, m^2.
         lumped: air that every wave of a single layer takes along, that of mode n = 2, kg/m^2.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [1] velocity of the film as a whole at the start of the step, m/s.
@@ -232,9 +234,9 @@ class Membrane:
         self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
         self.net, self.net_external = film.parts(wp.vec3), film.parts(wp.vec3)
         self.swept = film.parts(wp.vec3d)
-        self.added = self.lumped = 0.0
+        self.rigid_air = self.lumped = 0.0
         if film.features.air:
-            self.added = air.rigid_added_mass(film.surroundings.air_density, film.radius)
+            self.rigid_air = air.rigid_added_mass(film.surroundings.air_density, film.radius)
         if film.features.air and film.features.single:
             self.lumped = float(air.added_mass(6.0 / _size(film) ** 2, film.surroundings.air_density, film.radius))
         if film.features.air and not self.explicit:
@@ -244,9 +246,9 @@ class Membrane:
         self.air_range = None
         if film.features.air and film.features.closed and not self.explicit:
             self.air_range = AirRange(film, state, lists, geometry, self.response.poles, self.response.low)
-        self._blur = 0.0 if self.explicit else geometry.blur(film.numerics.curvature)
+        self.blur = 0.0 if self.explicit else geometry.blur(film.numerics.curvature)
         self._whole = wp.full(1, self.theta_whole, dtype=wp.float32, device=film.device)
-        self._added = wp.full(film.regions, self.added, dtype=wp.float32, device=film.device)
+        self.taken = wp.full(film.regions, self.rigid_air, dtype=wp.float32, device=film.device)
         self.drag = AirDrag(film, state) if film.features.dragged else None
         self.whole = film.zeros(1) if film.features.dragged else None
         self.ahead, self._theta, self._recoil = (Setting(film.device) for _ in range(3))
@@ -305,7 +307,7 @@ class Membrane:
         film, e = self.film, self.state.e
         film.launch_parts(
             ko.momentum_chunks,
-            [e.normal, e.mass, self.geometry.area, e.u, self._added, film.first],
+            [e.normal, e.mass, self.geometry.area, e.u, self.taken, film.first],
             [self.inertia, self.net],
         )
         film.launch_regions(ko.solve_motion_r, [self.inertia, self.net], [motion])
@@ -344,18 +346,20 @@ class Membrane:
             sums = [self.moment, self.inertia, self.net, self.net_external, self.lifted]
             film.launch_parts(
                 ko.net_force_chunks,
-                [*common, self.forces.body, film.surroundings.lift, self.added, film.n_e],
+                [*common, self.forces.body, film.surroundings.lift, self.rigid_air, film.n_e],
                 sums,
             )
             film.launch_one(ko.rigid_motion, sums, [self.rigid])
         film.launch_e(
-            km.free_force_e, [e.normal, e.mass, self.geometry.area, self.rigid, self.added], [self.force, self.external]
+            km.free_force_e,
+            [e.normal, e.mass, self.geometry.area, self.rigid, self.rigid_air],
+            [self.force, self.external],
         )
         film.launch_e(
             km.load_membrane_e,
             [
                 *(self.force, self.external, e.mass, self.geometry.area, self.geometry.weight, self.lists.ee.rows),
-                *(film.n_e, self._blur, dt),
+                *(film.n_e, self.blur, dt),
             ],
             [self.response.load.b, self.response.unit.b, self.response.diag],
         )
@@ -413,7 +417,7 @@ class Membrane:
         film.launch_parts(ko.traction_chunks, [traction, self.geometry.area, film.n_e], [self.net])
         film.launch_one(
             ko.recoil,
-            [self.moment, self.inertia, self.net, self.added, self._recoil.array, theta, dt],
+            [self.moment, self.inertia, self.net, self.rigid_air, self._recoil.array, theta, dt],
             [self.kick, self.state.motion],
         )
         film.launch_e(ko.apply_recoil_e, [e.normal, self.kick, theta, self._whole], [e.u, self.u_mid])

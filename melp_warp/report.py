@@ -47,8 +47,7 @@ def print_budget(lines: Sequence[dict]) -> None:
     table.add_row("rest", "", f"{last['rest']:.4g}", f"{100 * last['rest'] / moved:.3f}", "unexplained")
     console = Console(width=130)
     console.print(table)
-    if not last["whole"]:
-        console.print("Not all terms are known here (air of a single film, contact of foams): the rest holds them.")
+    console.print(f"The rest was never above {100 * last['share']:.3g} % of what moved.")
     balance = last["balance"]
     console.print(
         f"liquid {balance['liquid']:+.2e}, surfactant {balance['surfactant']:+.2e} (relative); "

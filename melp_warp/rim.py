@@ -22,15 +22,17 @@ class Rim:
     Attributes:
         impulse_e, impulse_l: [n_e], [n_l] momentum taken since the last `settle`, kg m/s; None without L.
         collected: [n_l] mass and surfactant taken, kg, mol.
+        energy: [n_l] energy taken since then, of motion, and of height and surfactant, J; None without a budget.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
-        self.impulse_e, self.impulse_l, self.collected = None, None, None
+        self.impulse_e, self.impulse_l, self.collected, self.energy = None, None, None, None
         if film.features.collects:
             self.impulse_e, self.impulse_l = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_l, wp.vec3)
             self.collected = film.zeros(film.n_l, wp.vec2)
-            self._part = film.parts(kb.vec5d)
+            self.energy = film.zeros(film.n_l, wp.vec2) if film.features.budget else None
+            self._part = film.parts(kb.vec7d)
 
     def mirror_velocity(self) -> None:
         """Give boundary particles the velocity of their mirror points: no motion of the rim, free slip along it."""
@@ -49,14 +51,15 @@ class Rim:
 
     def confine(self) -> None:
         """Keep L inside the rim, which takes what drives them out."""
-        film, lag, rim = self.film, self.state.l, self.film.rim
+        film, lag, rim, m = self.film, self.state.l, self.film.rim, self.film.material
         film.launch_l(
             kb.confine_l,
             [
                 *(rim.anchors, rim.outward, self.lists.le.rows, film.n_e),
-                *(film.gravity, 2.0 * film.material.rt / film.spacing),
+                *(film.gravity, 2.0 * m.rt / film.spacing),
+                *(lag.eta, m.density / m.surfactant if m.surfactant > 0.0 else 0.0, m.rt),
             ],
-            [lag.x, lag.u, lag.v, lag.mass, lag.surfactant, self.collected, self.impulse_l],
+            [lag.x, lag.u, lag.v, lag.mass, lag.surfactant, self.collected, self.impulse_l, self.energy],
         )
 
     def take_pull(self, traction: wp.array, dt: wp.array) -> None:
@@ -68,13 +71,18 @@ class Rim:
         """Count the friction [n_e] of walls over the share theta [1] of a step, kg m/s."""
         self.film.launch_e(kb.take_friction_e, [friction, theta], [self.impulse_e])
 
+    def taken(self, part: wp.array) -> None:
+        """Put what was taken since the last `settle` into the parts of `kernels.boundary.taken_chunks`."""
+        self.film.launch_parts(kb.taken_chunks, [self.collected, self.impulse_l, self.impulse_e, self.energy], [part])
+
     def settle(self) -> None:
         """Add what was taken since the last time to the state. Between steps."""
         film = self.film
-        film.launch_parts(kb.taken_chunks, [self.collected, self.impulse_l, self.impulse_e], [self._part])
+        self.taken(self._part)
         film.launch_one(kb.add_taken, [self._part], [self.state.border])
-        for array in (self.collected, self.impulse_l, self.impulse_e):
-            clear(array)
+        for array in (self.collected, self.impulse_l, self.impulse_e, self.energy):
+            if array is not None:
+                clear(array)
 
     def extend(self) -> None:
         """Let the boundary particles follow a moving film; the fits are moved with their particles and a step old."""

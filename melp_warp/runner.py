@@ -194,6 +194,8 @@ def _simulate(simulation: Simulation, frames: int, output: _Output, progress: _P
         diagnostics = output.write(simulation)
         progress.say(simulation.notices)
         progress.advance(simulation, diagnostics, time.perf_counter() - start)
+    simulation.conclude()
+    progress.say(simulation.notices)
 
 
 def _check_folder(folder: Path) -> None:

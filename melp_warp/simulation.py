@@ -115,7 +115,7 @@ class Simulation:
         course.reach, course.speed = self._longest_way(), self._fastest_wave()
         self._look_at_shape()
         if features.budget:
-            course.ledger = Ledger(whole=not (features.foam or features.air))
+            course.ledger = Ledger()
             course.ledger.open(self._weighed())
         self._good = None
         self._keep()
@@ -255,11 +255,15 @@ class Simulation:
             wp.copy(array, values)
         self._keep()
 
+    def conclude(self) -> None:
+        """Note what only the end of a run tells: a rest of its energy budget that is too large."""
+        if self.ledger is not None:
+            self.ledger.remark(self.notices, self.frame)
+
     def _remark(self) -> None:
         """Note what must be known of the frame that is done (reads back)."""
         if self.stepper.budget is not None:
             self.ledger.take(self.stepper.budget.read(), self.time - self._last_dt)
-            self.ledger.remark(self.notices)
         self.stepper.remark(self.notices)
         self.notices.end(self.frame)
 
@@ -340,7 +344,8 @@ class Simulation:
                 f" more than {MOST_STEPS:,} a frame"
             )
         count = math.ceil(left / limit - 1e-6)
-        if count == 1 and self.stepper.budget is not None:
+        sudden = self.film.walls or (self.events is not None and self.events.unborn)
+        if self.stepper.budget is not None and (count == 1 or sudden):
             self.stepper.budget.weigh()
         self.step(left / count)
         self._substeps += 1
@@ -522,7 +527,7 @@ class Simulation:
     def _border_diagnostics(self) -> dict:
         """Liquid (kg) and surfactant (mol) that the rim has collected, momentum that it has taken (kg m/s)."""
         border = self.state.border.numpy().tolist()
-        return {"border_mass": border[0], "border_surfactant": border[1], "rim_impulse": border[2:]}
+        return {"border_mass": border[0], "border_surfactant": border[1], "rim_impulse": border[2:5]}
 
     def _foam_diagnostics(self, gas: np.ndarray) -> dict:
         return {

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area", "offset")
 
-BORDER_SLOTS = ("mass", "surfactant", "impulse_x", "impulse_y", "impulse_z")
+BORDER_SLOTS = ("mass", "surfactant", "impulse_x", "impulse_y", "impulse_z", "energy_motion", "energy_height")
 
 
 def _array(dtype, size: str | int, when: Callable[[Features], bool] | None = None, columns: int = 0):
@@ -264,9 +264,9 @@ class State:
         gas: [regions, 6] float64, see `GAS_SLOTS`: volume (m^3), gauge pressure (Pa), amount n0 R T (J), pressure
             increment of the last step (Pa), area (m^2), normal offset that closed the volume in the last step (m).
         motion: [regions] velocity of a closed film as a whole, m/s: it changes by outside forces alone.
-        border: [5] float64, see `BORDER_SLOTS`: liquid (kg) and surfactant of one interface (mol) that the rim of an
-            open film has collected, and the momentum that it has taken from the flow along the film, kg m/s; None
-            without a rim or without L.
+        border: [7] float64, see `BORDER_SLOTS`: liquid (kg) and surfactant of one interface (mol) that the rim of an
+            open film has collected, and what it has taken from the flow along the film of momentum (kg m/s) and,
+            where a budget is kept, of energy (J), of motion and of height and surfactant; None without a rim or L.
         memory: what stages remember.
         course: what the host remembers.
         seen: how far particles had moved after the last steps, as the host sees it; see `NeighborLists`.

@@ -224,6 +224,8 @@ class Stepper:
         if not foam:
             self.membrane.find_frame()
             self.membrane.before_move()
+            if self.budget is not None:
+                self.budget.book_range(after=False)
         self.e_advance.advance(self.membrane.u_mid, self.frame, dt)  # (19), (20)
         if foam:
             self.membrane.recall()
@@ -241,6 +243,8 @@ class Stepper:
             self.membrane.close_volume()
         elif self.film.features.closed:
             self.membrane.after_move()
+            if self.budget is not None:
+                self.budget.book_range(after=True)
         self._guard_e("geometry")
 
     def _advance_l(self) -> None:

@@ -1,0 +1,108 @@
+"""The energy budget of every scene at small size: for docs/energy.md (tools/energy.py) and the slow tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from melp_warp.budget import LOSS, TERMS
+from melp_warp.errors import SimulationError
+from melp_warp.parameters import Value
+from melp_warp.registry import load_scene
+from melp_warp.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class EnergyCase:
+    """A scene at small size.
+
+    Attributes:
+        scene: its name.
+        frames: how many are enough to see where its energy goes.
+        keys: keys that are not as the scene has them; `e_count` among them.
+        foam: whether it is one: docs/energy.md says what is not known of foams.
+    """
+
+    scene: str
+    frames: int
+    keys: Mapping[str, Value]
+    foam: bool = False
+
+    @property
+    def label(self) -> str:
+        """The scene with what is not its default."""
+        return " ".join(
+            [
+                self.scene,
+                *(f"{key}={value:g}" if key != "air" else f"{key}={value}" for key, value in self.keys.items()),
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class Found:
+    """What became of a case.
+
+    Attributes:
+        e_count: E at the end.
+        frames: frames done.
+        time: simulated time, s.
+        share: largest rest over what moves.
+        rest: the last one over what moves.
+        raised: name of the loss that makes most energy and how much, over what moves; ("", 0) where none does.
+        stopped: why the run ended early; empty where it did not.
+    """
+
+    e_count: int
+    frames: int
+    time: float
+    share: float
+    rest: float
+    raised: tuple[str, float]
+    stopped: str
+
+
+CASES = (
+    EnergyCase("oscillating_bubble", 300, {"e_count": 1000}),
+    EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "air": "added_mass"}),
+    EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "l_per_e": 4}),
+    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4}),
+    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4, "air": "none"}),
+    EnergyCase("drainage", 150, {"e_count": 400, "l_per_e": 8}),
+    EnergyCase("equilibrium", 150, {"e_count": 400, "l_per_e": 8}),
+    EnergyCase("taylor_vortices", 192, {"e_count": 900, "l_per_e": 8}),
+    EnergyCase("double_bubble", 60, {"e_count": 400, "l_per_e": 4}, foam=True),
+    EnergyCase("size_ratio", 60, {"e_count": 450, "l_per_e": 4}, foam=True),
+    EnergyCase("triple_bubble", 60, {"e_count": 600, "l_per_e": 4}, foam=True),
+    EnergyCase("quadruple_bubble", 60, {"e_count": 800, "l_per_e": 4}, foam=True),
+    EnergyCase("four_bubbles", 120, {"e_count": 800, "l_per_e": 4}, foam=True),
+    EnergyCase("cluster", 30, {"e_count": 2200, "l_per_e": 2}, foam=True),
+    EnergyCase("foam_mountain", 30, {"e_count": 1000}, foam=True),
+)
+"""Every scene; single films besides with what is not their default."""
+
+
+def run_case(case: EnergyCase, scale: float = 1.0, frames: int | None = None) -> Found:
+    """Run a case with `scale` times its E, over its own number of frames where none is given."""
+    script = load_scene(case.scene)
+    keys = dict(case.keys, e_count=round(scale * case.keys["e_count"]))
+    simulation = Simulation(script.build(script.parameters.values(keys)))
+    stopped = ""
+    try:
+        for _ in range(case.frames if frames is None else frames):
+            simulation.advance_frame()
+    except SimulationError as error:
+        stopped = str(error)
+    ledger = simulation.ledger
+    moved = ledger.moved or 1.0
+    losses = [(term.name, -ledger.flows[term.name] / moved) for term in TERMS if term.kind == LOSS]
+    raised = max(losses, key=lambda pair: pair[1])
+    return Found(
+        simulation.film.n_e,
+        simulation.frame,
+        ledger.time,
+        ledger.share,
+        ledger.rest / moved,
+        raised if raised[1] > 0.0 else ("", 0.0),
+        stopped,
+    )
