@@ -199,7 +199,7 @@ def taken_chunks(
     # outputs
     part: wp.array(dtype=vec7d),
 ):
-    """Parts of what the rim has taken: mass, surfactant, momentum, energy of motion and all other; kg, mol, kg m/s, J."""
+    """Parts of what the rim has taken: mass, surfactant, momentum, energy of motion, all other; kg, mol, kg m/s, J."""
     c = wp.tid()
     n = impulse_l.shape[0]
     size = (n + part.shape[0] - 1) // part.shape[0]

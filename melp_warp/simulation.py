@@ -344,7 +344,7 @@ class Simulation:
                 f" more than {MOST_STEPS:,} a frame"
             )
         count = math.ceil(left / limit - 1e-6)
-        sudden = self.film.walls or (self.events is not None and self.events.unborn)
+        sudden = self.film.walls or self.state.course.unborn  # regions may change after any step
         if self.stepper.budget is not None and (count == 1 or sudden):
             self.stepper.budget.weigh()
         self.step(left / count)
