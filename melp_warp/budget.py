@@ -313,7 +313,7 @@ class Budget:
     def _make_air(self) -> RationalLaplacian | None:
         """What finds the momentum of the air around a single film; None where a film has none."""
         film, s = self.film, self._stages
-        if not film.features.air or film.features.foam or film.features.explicit:
+        if not film.features.air_waves:
             return None
         arrays = [s.geometry.weight, s.geometry.area, s.lists.ee.rows]
         solver = RationalLaplacian(film.n_e, film.total, *arrays, AIR_TOLERANCE, None, film.device)

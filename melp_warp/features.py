@@ -76,6 +76,11 @@ class Features:
             budget=scene.budget and not single,
         )
 
+    @property
+    def air_waves(self) -> bool:
+        """Whether the air's inertia is a function of the surface Laplacian, see `melp_warp.air`."""
+        return self.air and not (self.foam or self.explicit)
+
     def kernels(self) -> list[str]:
         """Files of `melp_warp.kernels` whose kernels a run launches."""
         needed = {

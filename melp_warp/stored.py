@@ -112,22 +112,21 @@ def check_course(stored: object, scene: Scene) -> Course:
     _check_whole("pending", [stored["pending"]])
     events = len(cluster.events) if cluster else 0
     require(stored["pending"] <= events, "pending", stored["pending"], f"at most {events}, the events of this scene")
-    return Course(**{**stored, "ledger": _check_ledger(stored["ledger"], features.budget)})
+    return Course(**{**stored, "ledger": _check_ledger(stored["ledger"], features)})
 
 
-def _check_ledger(stored: object, wanted: bool) -> Ledger | None:
+def _check_ledger(stored: object, features: Features) -> Ledger | None:
     """The energy budget, None where the scene wants none."""
-    if not wanted:
+    if not features.budget:
         require(stored is None, "ledger", type(stored).__name__, "none")
         return None
     known = {f.name for f in fields(Ledger)}
     require(isinstance(stored, dict) and set(stored) == known, "ledger", type(stored).__name__, "an energy budget")
-    _check_flag("whole", stored["whole"])
     for name in (
         "time",
         "rest",
+        "worst",
         "moved",
-        "height",
         "liquid",
         "surfactant",
         *(["owed"] if stored["owed"] is not None else []),
@@ -142,6 +141,7 @@ def _check_ledger(stored: object, wanted: bool) -> Ledger | None:
         _check_terms(name, stored[name], stores, none=True)
     for name in ("flows", "past"):
         _check_terms(name, stored[name], flows)
+    _check_terms("weighed", stored["weighed"], {"gravity", *(["air"] if features.air_waves else [])}, none=True)
     balance = stored["balance"]
     require(isinstance(balance, dict), "balance", balance, "numbers by name")
     if balance:
