@@ -6,10 +6,11 @@ import inspect
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from threading import Lock
+from time import perf_counter
 from weakref import WeakMethod
 
 import warp as wp
@@ -27,7 +28,9 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-THREADS = whole_number("MELP_WARP_THREADS", 0, 0, 1024) or _cores()
+_ASKED = whole_number("MELP_WARP_THREADS", 0, 0, 1024)
+
+THREADS = _ASKED or _cores()
 """CPU threads that share a launch. Results do not depend on it."""
 
 ROWS_A_THREAD = 1024
@@ -208,7 +211,8 @@ def _share(kernel, dim: int, least: int, least_lane: int, device, run: Callable[
     if _lane is not None:
         _lane.share(run, dim, least_lane)
         return
-    parts = 1 if wp.get_device(device).is_cuda else max(1, min(THREADS, dim // least))
+    threads = THREADS if crew.together else 1
+    parts = 1 if wp.get_device(device).is_cuda else max(1, min(threads, dim // least))
     edges = [dim * k // parts for k in range(parts + 1)]
     if parts > 1:
         kernel.module.load(wp.get_device(device), CPU_BLOCK)  # not by every thread at once
@@ -282,6 +286,69 @@ def _decides(device) -> bool:
     return not device.is_cuda or wp.is_conditional_graph_supported()
 
 
+class Crew:
+    """Whether the threads work together, or one alone as other processes have the cores.
+
+    Threads that run graphs together wait for each other between kernels, so that one without a core holds up all of
+    them: on a busy machine two are several times slower than one. What tells is how long threads were ready to run and
+    had no core, which Linux counts; elsewhere they always work together.
+
+    Args:
+        adapts: whether they ever stop working together.
+
+    Attributes:
+        together: whether they do now.
+    """
+
+    LOOK = 0.2
+    """Wall time after which it is looked at, s."""
+
+    SHORT, LONG = 1.0, 60.0
+    """Half the wall time for which one works alone at first, and all of it after many tries in vain, s."""
+
+    def __init__(self, adapts: bool):
+        self.together = True
+        self._adapts = adapts and THREADS > 1 and os.path.exists("/proc/self/task")
+        self._patience = self.SHORT
+        self._since = self._before = None
+
+    def look(self) -> None:
+        """Decide from time to time how the next work is done."""
+        now = perf_counter() if self._adapts else 0.0
+        if self._since is None:
+            self._since, self._before = now, without_core() if self._adapts else 0.0
+        elif now - self._since >= (self.LOOK if self.together else self._patience):
+            late = without_core()
+            self.note((late - self._before) / (now - self._since))
+            self._since, self._before = now, late
+
+    def note(self, lost: float) -> None:
+        """Take down the time that threads had no core, summed over them, in times the wall time.
+
+        It is what all of them lose where they work together; `THREADS` are then about 0.7 times as many as fast as one.
+        """
+        if not self.together:  # one that has no core of its own needs not ask for two
+            self.together = lost < 0.1
+        elif lost > 1.0 - 1.0 / (0.7 * THREADS):
+            self.together = False
+            self._patience = min(2.0 * self._patience, self.LONG)
+        else:
+            self._patience = self.SHORT
+
+
+def without_core() -> float:
+    """Time that the threads of this process were ready to run and had no core, summed over them, s."""
+    waited = 0
+    for thread in os.listdir("/proc/self/task"):
+        with suppress(OSError, IndexError, ValueError), open(f"/proc/self/task/{thread}/schedstat") as file:
+            waited += int(file.read().split()[1])
+    return 1e-9 * waited
+
+
+crew = Crew(adapts=_ASKED == 0)
+"""The threads of this process."""
+
+
 class Recorded:
     """A sequence of launches that is captured at its first run and replayed from then on.
 
@@ -303,6 +370,7 @@ class Recorded:
         self._device = wp.get_device(device)
         self._rows = rows
         self._graphs = []
+        self._alone = []
 
     def _body(self) -> None:
         self._method()()
@@ -314,12 +382,21 @@ class Recorded:
         elif not self._graphs:
             with _recording(_Lane(0, 1)):
                 self._body()  # the first run loads every module, which a capture must not do
-            self._capture()
+            count = 1 if self._device.is_cuda else max(1, min(THREADS, self._rows // ROWS_A_LANE))
+            self._graphs = self._capture(count)
         else:
-            _run_together(self._graphs)
+            crew.look()
+            _run_together(self._graphs if crew.together or self._device.is_cuda else self._one())
 
-    def _capture(self) -> None:
-        count = 1 if self._device.is_cuda else max(1, min(THREADS, self._rows // ROWS_A_LANE))
+    def _one(self) -> list[wp.Graph]:
+        """The sequence as the graph of one thread."""
+        if not self._alone:
+            self._alone = self._graphs if len(self._graphs) == 1 else self._capture(1)
+        return self._alone
+
+    def _capture(self, count: int) -> list[wp.Graph]:
+        """The sequence as graphs for a number of threads, those that have anything to do."""
+        graphs = []
         if count > 1:
             wp.launch(meet, dim=1, inputs=[_gate(), 1], device=self._device)  # loads its module
         for number in range(count):
@@ -327,7 +404,8 @@ class Recorded:
             with _recording(lane), wp.ScopedCapture(device=self._device) as capture:
                 self._body()
             if lane.needed:
-                self._graphs.append(capture.graph)
+                graphs.append(capture.graph)
+        return graphs
 
 
 def _run_together(graphs: Sequence[wp.Graph]) -> None:

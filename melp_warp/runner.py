@@ -251,8 +251,15 @@ class _Progress:
     def advance(self, simulation: Simulation, diagnostics: Mapping, seconds: float) -> None:
         """A frame is done, which took `seconds` of wall time."""
         rate = diagnostics["substeps"] / max(seconds, 1e-9)
-        state = f"t {simulation.time:.4g} s, dt {diagnostics['dt']:.3g} s, {rate:.3g} steps/s,"
+        state = f"t {simulation.time:.4g} s, dt {diagnostics['dt']:.3g} s, {rate:.3g} steps/s,{_busy()}"
         self._bar.update(self._task, completed=simulation.frame, description=self._name, state=state)
+
+
+def _busy() -> str:
+    """What to say of the speed while one thread works for all."""
+    from melp_warp.launch import crew
+
+    return "" if crew.together else " one thread (other programs have the cores),"
 
 
 class _Output:

@@ -71,6 +71,12 @@ class Work:
         return [array.numpy().copy() for array in (self.a, self.b, self.c, self.total)]
 
 
+@pytest.fixture(autouse=True)
+def all_together(monkeypatch):
+    """As on a machine that nothing else runs on."""
+    monkeypatch.setattr(launcher, "crew", launcher.Crew(adapts=False))
+
+
 @pytest.mark.parametrize("inside", ["alone", "both"])
 def test_lanes_wait_for_each_other(inside, device, monkeypatch):
     """On three cores, 300 times over, the numbers are those of one core and those without a graph."""
@@ -120,3 +126,56 @@ def test_what_is_not_shared_wakes_no_core(device, monkeypatch):
     run = Recorded(work.turn, device, N)
     run()
     assert len(run._graphs) == 1
+
+
+def test_one_alone_by_turns_gives_the_same(device, monkeypatch):
+    """Bit for bit, whoever works when; the graph for one is captured when it is first asked for."""
+    monkeypatch.setattr(launcher, "THREADS", 3)
+    works = [Work(device, "both") for _ in range(2)]
+    for k in range(60):
+        for work, alone in zip(works, (False, k % 7 < 3), strict=True):
+            launcher.crew.together = not alone
+            work.count.assign([k % 5])
+            work.run()
+    assert [len(work.run._alone) for work in works] == [0, 1]
+    assert all(np.array_equal(one, two) for one, two in zip(*(work.numbers() for work in works), strict=True))
+
+
+def test_threads_without_cores_leave_the_work_to_one(monkeypatch):
+    """Two that lose half of the time are slower than one; later they try again, and less often each time in vain."""
+    monkeypatch.setattr(launcher, "THREADS", 2)
+    crew = launcher.Crew(adapts=True)
+    for lost, together in ((0.0, True), (0.2, True), (0.5, False), (0.5, False), (0.05, True), (0.6, False)):
+        crew.note(lost)
+        assert crew.together == together
+    assert crew._patience == 4.0 * crew.SHORT
+    crew.note(0.0)
+    crew.note(0.0)
+    assert crew.together and crew._patience == crew.SHORT
+
+
+def test_it_is_looked_at_from_time_to_time(monkeypatch):
+    now, late = [0.0], [0.0]
+    monkeypatch.setattr(launcher, "THREADS", 2)
+    monkeypatch.setattr(launcher, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(launcher, "without_core", lambda: late[0])
+    crew = launcher.Crew(adapts=True)
+    seen = []
+    for k in range(800):  # every 10 ms; others are in the way from 1 to 2 s
+        now[0] += 0.01
+        late[0] += 0.01 if 100 <= k < 200 else 0.0
+        crew.look()
+        seen.append(crew.together)
+    assert all(seen[:100]) and not any(seen[130:230]) and all(seen[-30:])
+    asked = launcher.Crew(adapts=False)
+    asked.note(0.0)
+    for _ in range(100):
+        now[0] += 1.0
+        late[0] += 1.0
+        asked.look()
+    assert asked.together
+
+
+def test_time_without_a_core_is_counted():
+    before = launcher.without_core()
+    assert 0.0 <= before <= launcher.without_core()
