@@ -148,7 +148,7 @@ class Budget:
         self._bending, self._packed = None, None
         if f.moving and not f.foam:
             self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
-        self._asked, self._yes = film.zeros(1, wp.int32), wp.full(1, 1, dtype=wp.int32, device=film.device)
+        self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
         self._ruffle = film.zeros(film.n_e) if f.lagrangian and f.marangoni else None
         self._pressed, self._stretched, self._touched = (

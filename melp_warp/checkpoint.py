@@ -185,9 +185,7 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
     """
     header = read_header(path)
     compare(path, header["scene"], scene, changed)
-    shapes = declared()
-    wanted = {name: (kind, len(columns) + (length is not None)) for name, (kind, length, columns, _) in shapes.items()}
-    arrays = load_arrays(path, {**wanted, HEADER: ("i", 1), CHECKSUM: ("i", 1)})
+    shapes, arrays = declared(), _load_all(path)
     features = Features.of(scene)
     try:
         course = check_course(header["course"], scene)
@@ -200,8 +198,27 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
         check_stored(given, shapes, needed - optional, course, scene.fps, boundary)
         check_notices(header["notices"])
         require(isinstance(header["run"], dict), "run", header["run"], "names and values")
-        right = CHECKSUM in arrays and np.array_equal(arrays.pop(CHECKSUM), checksum(arrays))
-        require(right, "checksum", "another", "that of what the file holds: it is damaged")
+        _require_sum(arrays)
     except InputError as error:
         raise InputError(f"checkpoint {path} does not fit: {error}") from None
     return Checkpoint(film, course, seen, header["notices"], header["run"], given)
+
+
+def check_sum(path: str | os.PathLike) -> None:
+    """Refuse a file that is not what was written: `InputError`."""
+    read_header(path)
+    try:
+        _require_sum(_load_all(path))
+    except InputError as error:
+        raise InputError(f"checkpoint {path} cannot be used: {error}") from None
+
+
+def _load_all(path: str | os.PathLike) -> dict[str, np.ndarray]:
+    """All members that a checkpoint may have."""
+    shapes = {name: (kind, len(columns) + (size is not None)) for name, (kind, size, columns, _) in declared().items()}
+    return load_arrays(path, {**shapes, HEADER: ("i", 1), CHECKSUM: ("i", 1)})
+
+
+def _require_sum(members: Mapping[str, np.ndarray]) -> None:
+    right = CHECKSUM in members and np.array_equal(members[CHECKSUM], checksum(members))
+    require(right, "checksum", "another", "that of what the file holds: it is damaged")

@@ -171,7 +171,19 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     run.add_argument(
         "--triangles", metavar="N", type=int, help="triangles of all meshes of a frame, about; asks for --mesh"
     )
-    run.add_argument("--start", metavar="N", type=int, default=0, help="number of the first frame (default: 0)")
+    run.add_argument("--start", metavar="N", type=int, help="number of the first frame (default: 0)")
+    over = run.add_mutually_exclusive_group()
+    over.add_argument("--resume", action="store_true", help="go on with the run in DIR, or extend it to more --frames")
+    over.add_argument(
+        "--branch", metavar="FROM", type=_path, help="go on from the run in FROM with other numbers, in DIR"
+    )
+    over.add_argument("--overwrite", action="store_true", help="remove the run that DIR holds and start anew")
+    run.add_argument(
+        "--checkpoint",
+        metavar="EVERY",
+        default="5min",
+        help="write one every N frames, 30s or 5min, besides at start and end (default: 5min; 0: not between)",
+    )
     run.add_argument("--preview", action="store_true", help="draw preview.png and contact.png at the end")
     run.add_argument("--quiet", action="store_true", help="print nothing but errors")
     run.add_argument("--no-budget", action="store_true", help="keep no energy budget")
@@ -309,23 +321,43 @@ def _run(options: argparse.Namespace) -> int:
     from melp_warp import runner
     from melp_warp.quality import find_quality
     from melp_warp.registry import load_scene
+    from melp_warp.resume import numbers_of, options_of
 
     script = load_scene(options.scene)
-    given = script.parameters.parse(_settings(options))
-    values = find_quality(options.quality).values(script, given)
+    quality, given = find_quality(options.quality), script.parameters.parse(_settings(options))
+    out = options.out if options.out is not None else Path("out") / script.name
+    writes = {
+        "export": options.export,
+        "mesh": True if options.mesh or options.triangles is not None else None,
+        "triangles": options.triangles,
+        "first": options.start,
+        "budget": False if options.no_budget else None,
+    }
+    start = None
+    if options.resume or options.branch is not None:
+        start = runner.start_from(out if options.resume else options.branch)
+        require(options.resume or options.branch.resolve() != out.resolve(), "--out", str(out), "another than --branch")
+        if options.quality != "standard":
+            given = quality.values(script, given).as_dict()
+        values = script.parameters.values(numbers_of(start, script.name, given, same=options.resume))
+        writes = options_of(start, writes, same=options.resume)
+    else:
+        values = quality.values(script, given)
+        writes = {"mesh": False, "first": 0, "budget": True} | {k: v for k, v in writes.items() if v is not None}
+    budget = writes.pop("budget")
     plan = runner.Plan(
-        scene=replace(script.build(values), budget=not options.no_budget),
+        scene=replace(script.build(values), budget=budget),
         name=script.name,
         parameters=values.as_dict(),
-        out=options.out if options.out is not None else Path("out") / script.name,
+        out=out,
         device=options.device,
-        export=options.export,
         preview=options.preview,
         quiet=options.quiet,
-        mesh=options.mesh or options.triangles is not None,
-        triangles=options.triangles,
-        start=options.start,
         strict=options.strict,
+        every=runner.Every.parse(options.checkpoint),
+        overwrite=options.overwrite,
+        start=start,
+        **writes,
     )
     if not options.quiet:
         _warn(script.parameters.doubts(given))

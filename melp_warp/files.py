@@ -68,6 +68,22 @@ def sync(path: Path, flags: int) -> None:
         os.close(handle)
 
 
+def append(path: Path, data: bytes) -> None:
+    """Append to a file, all of the data or none of it.
+
+    Raises:
+        OSError: the folder is missing or cannot be written, or the disk is full.
+    """
+    with path.open("ab", buffering=0) as file:
+        before, left = file.tell(), memoryview(data)
+        try:
+            while left:
+                left = left[file.write(left) :]
+        except OSError:
+            file.truncate(before)
+            raise
+
+
 def digest(path: str | os.PathLike) -> str:
     """SHA-256 of a file, hexadecimal, as `sha256sum` prints it."""
     found = hashlib.sha256()

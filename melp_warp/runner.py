@@ -7,9 +7,11 @@ import importlib.util
 import json
 import math
 import os
+import re
+import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,9 +19,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from melp_warp.errors import InputError, SimulationError, require
-from melp_warp.files import is_systems
-from melp_warp.interrupt import finish_first, let_through
+from melp_warp.files import append
+from melp_warp.interrupt import end_like_ctrl_c, finish_first, let_through
 from melp_warp.parameters import Value
+from melp_warp.resume import (
+    CHECKPOINT,
+    CONTACT,
+    LOG,
+    NEWER,
+    OLDER,
+    Start,
+    check_folder,
+    clear,
+    cut_back,
+    find_start,
+)
 from melp_warp.scene import Scene
 
 if TYPE_CHECKING:
@@ -30,13 +44,37 @@ if TYPE_CHECKING:
     from melp_warp.registry import SceneScript
     from melp_warp.simulation import Simulation
 
-LOG = "run.jsonl"
-CHECKPOINT = "checkpoint.npz"
-CONTACT = "contact.png"
 CONTACT_FRAMES = 9
 PREVIEW_SIZE, CONTACT_SIZE = 800, 400
 MOST_TRIANGLES = 100_000_000
-INTERRUPTED = 130
+INTERRUPTED = 128
+"""Exit code of a run that a signal ended, less the signal's number."""
+
+
+@dataclass(frozen=True)
+class Every:
+    """When a run writes a checkpoint between its first and its last: after so many seconds or frames, 0 for never."""
+
+    seconds: float = 300.0
+    frames: int = 0
+
+    @classmethod
+    def parse(cls, text: str) -> Every:
+        """From "20" for frames, "30s" or "5min" for a time.
+
+        Raises:
+            InputError: neither.
+        """
+        found = re.fullmatch(r"(\d{1,9}(?:\.\d{0,9})?)(s|min)?", text)
+        allowed = 'a number of frames or a time as "30s" or "5min"'
+        require(found is not None and (found[2] is not None or found[1].isdigit()), "--checkpoint", text, allowed)
+        if found[2] is None:
+            return cls(0.0, int(found[1]))
+        return cls(float(found[1]) * (60.0 if found[2] == "min" else 1.0))
+
+    def due(self, seconds: float, frames: int) -> bool:
+        """Whether one is due after a time and a number of frames."""
+        return 0.0 < self.seconds <= seconds or 0 < self.frames <= frames
 
 
 @dataclass(frozen=True)
@@ -47,7 +85,7 @@ class Plan:
         scene: what to simulate.
         name: its name, recorded in the cache.
         parameters: its keys and values, recorded in the cache.
-        out: folder to write, new or empty.
+        out: folder to write, new or empty, or that of a run that goes on.
         device: Warp's name of the device.
         export: "l", "e", "both", or None for L where there are any and E otherwise.
         preview: whether to draw preview.png and contact.png at the end.
@@ -55,7 +93,10 @@ class Plan:
         strict: whether a run that has notices (`melp_warp.notices`) counts as failed.
         mesh: whether to write a surface mesh of each region.
         triangles: how many a frame's meshes are to have in all, about; None for as many as there are L.
-        start: number of the first frame.
+        first: number of the first frame.
+        every: when to write checkpoints.
+        overwrite: whether `out` may hold a run, which is removed then.
+        start: where the run goes on from: in its own folder as it was, or from another one with other numbers.
     """
 
     scene: Scene
@@ -69,7 +110,15 @@ class Plan:
     strict: bool = False
     mesh: bool = False
     triangles: int | None = None
-    start: int = 0
+    first: int = 0
+    every: Every = Every()
+    overwrite: bool = False
+    start: Start | None = None
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the run goes on in its own folder."""
+        return self.start is not None and self.start.folder == self.out
 
 
 def run(plan: Plan) -> int:
@@ -79,7 +128,8 @@ def run(plan: Plan) -> int:
     What else is asked for goes to /World/FilmE and, meshes, to /World/FilmSurface/Region_k.
 
     Returns:
-        0; 1 where the plan is strict and there are notices; 130 after Ctrl-C. The cache holds each frame that was done.
+        0; 1 where the plan is strict and there are notices; 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP. The
+        cache holds each frame that was done, and a checkpoint the state of the last one.
 
     Raises:
         InputError: the output folder is taken or cannot be written, the disk is full, or the solver refuses the scene.
@@ -87,21 +137,24 @@ def run(plan: Plan) -> int:
     """
     require(plan.export != "l" or plan.scene.l_per_e > 0, "--export", plan.export, "e or both: the scene has no L")
     _check_numbers(plan)
-    _check_folder(plan.out)
+    if not plan.goes_on:
+        check_folder(plan.out, plan.overwrite)
     _start_warp()
     simulation = None
     try:
-        with _Progress(plan) as progress:
-            simulation = _simulation(plan)
-            simulation.notices.first = plan.start
-            with finish_first():
-                output = _Output(plan, simulation)
-                _simulate(simulation, plan.scene.frames, output, progress)
-        _write_stage(plan.out)
-        images = _draw_run(plan) if plan.preview else []
-    except KeyboardInterrupt:
-        print(f"melp-warp: interrupted: {_kept(plan.out)}{_noticed(simulation)}", file=sys.stderr)
-        return INTERRUPTED
+        with end_like_ctrl_c():
+            with _Progress(plan) as progress:
+                simulation = _simulation(plan)
+                simulation.notices.first = plan.first
+                with finish_first(), _unblocked(plan):
+                    output = _Output(plan, simulation)
+                    _simulate(simulation, plan.scene.frames, output, progress)
+            _write_stage(plan.out)
+            images = _draw_run(plan) if plan.preview else []
+    except KeyboardInterrupt as error:
+        more = "; --resume goes on" if (plan.out / CHECKPOINT).exists() else ""
+        print(f"melp-warp: interrupted: {_kept(plan.out)}{more}{_noticed(simulation)}", file=sys.stderr)
+        return INTERRUPTED + getattr(error, "number", signal.SIGINT)
     if not plan.quiet:
         _say_finished(plan.out, images, simulation.notices, output.empty_from)
     return int(plan.strict and bool(simulation.notices))
@@ -111,13 +164,23 @@ def _check_numbers(plan: Plan) -> None:
     from melp_warp.usd import MAX_FRAME
 
     most = MAX_FRAME - plan.scene.frames
-    require(0 <= plan.start <= most, "--start", plan.start, f"a whole number from 0 to {most}")
+    require(0 <= plan.first <= most, "--start", plan.first, f"a whole number from 0 to {most}")
     _check_triangles(plan.triangles)
 
 
 def _check_triangles(triangles: int | None) -> None:
     allowed = f"a whole number from 1 to {MOST_TRIANGLES}"
     require(triangles is None or 1 <= triangles <= MOST_TRIANGLES, "--triangles", triangles, allowed)
+
+
+def start_from(folder: Path) -> Start:
+    """The newest sound checkpoint of a folder, see `resume.find_start`.
+
+    Raises:
+        InputError: there is none.
+    """
+    _start_warp()
+    return find_start(folder)
 
 
 def estimate(plan: Plan) -> Estimate:
@@ -153,7 +216,7 @@ def trade(script: SceneScript, overrides: Mapping[str, Value], e_count: int, fra
         SimulationError: the run that the others are compared with stopped.
     """
     if out is not None:
-        _check_folder(out)
+        check_folder(out, overwrite=False)
     _start_warp()
     from melp_warp import tradeoff
 
@@ -176,39 +239,50 @@ def _simulation(plan: Plan) -> Simulation:
         if error.name and error.name.startswith("melp_warp.kernels"):
             raise InputError("melp-warp is not installed: run `pip install -e .` in the checkout first") from error
         raise
-    return Simulation(plan.scene, plan.device)
+    if plan.start is None:
+        return Simulation(plan.scene, plan.device)
+    return Simulation(plan.scene, plan.device, plan.start.path, changed=not plan.goes_on)
+
+
+@contextlib.contextmanager
+def _unblocked(plan: Plan) -> Iterator[None]:
+    """Where not even a first frame was written, leave the folder as it was: the next run finds it free."""
+    try:
+        yield
+    except BaseException:
+        from melp_warp.usd import list_frames
+
+        if not plan.goes_on and not list_frames(plan.out):
+            with contextlib.suppress(OSError):
+                clear(plan.out)
+        raise
 
 
 def _simulate(simulation: Simulation, frames: int, output: _Output, progress: _Progress) -> None:
-    """Write frame 0, then advance and write frame after frame; Ctrl-C comes through between steps and frames."""
-    output.write(simulation)
+    """Write the first frame, advance and write frame after frame; signals come through between steps and frames."""
+    if not output.has_present:
+        output.write(simulation)
+        output.keep(simulation)
     progress.say(simulation.notices)
-    let_through()
-    while simulation.frame < frames:
-        start = time.perf_counter()
-        try:
-            simulation.advance_frame()
-        except SimulationError as error:
-            raise SimulationError(f"{error}; {output.keep(simulation)}{_noticed(simulation)}") from error
+    try:
         let_through()
-        diagnostics = output.write(simulation)
-        progress.say(simulation.notices)
-        progress.advance(simulation, diagnostics, time.perf_counter() - start)
+        while simulation.frame < frames:
+            start = time.perf_counter()
+            simulation.advance_frame()
+            diagnostics = output.write(simulation)
+            progress.say(simulation.notices)
+            progress.advance(simulation, diagnostics, time.perf_counter() - start)
+            output.keep_if_due(simulation)
+            let_through()
+    except KeyboardInterrupt:
+        simulation.back()
+        output.keep(simulation)
+        raise
+    except (InputError, SimulationError) as error:
+        raise type(error)(f"{error}; {output.keep(simulation)}{_noticed(simulation)}") from error
+    output.keep(simulation)
     simulation.conclude()
     progress.say(simulation.notices)
-
-
-def _check_folder(folder: Path) -> None:
-    """Refuse, before anything costly, a folder that is taken or that cannot be written."""
-    if folder.is_dir():
-        held = sorted(os.listdir(folder))
-        if held:
-            more = f" and {len(held) - 1} more" if len(held) > 1 else ""
-            raise InputError(f"--out must be a new or empty folder, got {str(folder)!r}, which holds {held[0]}{more}")
-    require(not is_systems(folder), "--out", str(folder), "a folder of a disk")
-    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    require(existing.is_dir(), "--out", str(folder), f"a folder; {existing} is a file")
-    require(os.access(existing, os.W_OK | os.X_OK), "--out", str(folder), f"writable; {existing} is not")
 
 
 class _Progress:
@@ -263,17 +337,18 @@ def _busy() -> str:
 
 
 class _Output:
-    """The folder of a run: the cache and a line of run.jsonl for every frame.
+    """The folder of a run: the cache, a line of run.jsonl for every frame, and checkpoints.
 
     Attributes:
         empty_from: first of the last frames without particles, None where the last one has some.
+        has_present: whether cache and log have the frame that the simulation starts from.
     """
 
     def __init__(self, plan: Plan, simulation: Simulation):
         from melp_warp.usd import CacheWriter, store_floors, surface_prim
 
         self._folder, self._plan = plan.out, plan
-        self.empty_from: int | None = None
+        self.empty_from: int | None = plan.start.empty_from if plan.start else None
         shown = "l" if simulation.has_l and plan.export != "e" else "e"
         self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
         metadata = {
@@ -288,58 +363,87 @@ class _Output:
         floors = [wall for wall in getattr(plan.scene.shape, "walls", ()) if not wall.pops]
         metadata |= store_floors([(np.subtract(wall.point, origin), wall.normal) for wall in floors])
         prims = [*self._sets, *(surface_prim(k) for k in _all_regions(plan.scene) if plan.mesh)]
-        self._cache = CacheWriter(plan.out, plan.scene.fps, metadata, prims, origin=origin, rims=self._rims)
+        there = cut_back(plan.start) if plan.goes_on else None
+        if plan.overwrite:
+            clear(plan.out)
+        self._cache = CacheWriter(
+            plan.out, plan.scene.fps, metadata, prims, origin=origin, rims=self._rims, there=there
+        )
+        self.has_present = plan.goes_on and plan.start.written
+        self._line = plan.start.line if plan.goes_on else {}
+        self._kept, self._when = simulation.frame, time.monotonic()
 
     def write(self, simulation: Simulation) -> dict:
         """Write the present frame and return its diagnostics."""
-        diagnostics = simulation.diagnostics()
         wanted = set(self._sets.values())
         if self._plan.mesh:
             wanted |= {"e", "l"} if simulation.has_l else {"e"}
         sets: dict[str, ParticleFrame] = {which: simulation.particles(which) for which in sorted(wanted)}
-        number = self._plan.start + simulation.frame
+        number = self._plan.first + simulation.frame
         prims = {prim: sets[which] for prim, which in self._sets.items()}
-        if self._plan.mesh:
-            prims |= self._meshes(simulation, sets, diagnostics)
-        try:
-            sums = self._cache.write(number, prims)
-        except SimulationError as error:
-            raise SimulationError(f"{error}; {_kept(self._folder)}") from error
-        self._log({**diagnostics, "frame": number, "sha256": sums})
+        meshes, problems = self._meshes(sets) if self._plan.mesh else ({}, [])
+        diagnostics = self._line
+        if diagnostics.get("frame") != number:  # else it failed to be written before the run was resumed
+            diagnostics = simulation.diagnostics() | ({"mesh_problems": problems} if self._plan.mesh else {})
+            if problems:
+                simulation.notices.add(simulation.frame, "mesh not closed", len(problems), "; ".join(problems))
+        self._line = _plain({**diagnostics, "frame": number})
+        sums = self._cache.write(number, prims | meshes)
+        self._line["sha256"] = sums
+        self._log(self._line)
         if any(len(one.points) for one in sets.values()):
             self.empty_from = None
         elif self.empty_from is None:
             self.empty_from = number
         return diagnostics
 
-    def _meshes(self, simulation: Simulation, sets: Mapping[str, ParticleFrame], diagnostics: dict) -> dict:
-        """The meshes of the present frame by prim; what could not be closed goes into the log and the notices."""
+    def _meshes(self, sets: Mapping[str, ParticleFrame]) -> tuple[dict, list[str]]:
+        """The meshes of the present frame by prim, and what could not be closed."""
         from melp_warp.frame import MeshFrame
         from melp_warp.mesh import make_meshes
         from melp_warp.usd import surface_prim
 
         made, problems = make_meshes(sets["e"], sets.get("l"), self._rims, self._plan.triangles)
-        diagnostics["mesh_problems"] = problems
-        if problems:
-            simulation.notices.add(simulation.frame, "mesh not closed", len(problems), "; ".join(problems))
         regions = _all_regions(self._plan.scene)
-        return {surface_prim(k): made.get(k) or MeshFrame.empty(sets["e"].origin) for k in regions}
+        return {surface_prim(k): made.get(k) or MeshFrame.empty(sets["e"].origin) for k in regions}, problems
 
     def _log(self, line: Mapping) -> None:
+        """Append a line to the log, whole or not at all."""
         path = self._folder / LOG
         try:
-            with path.open("a", encoding="utf-8") as log:
-                log.write(json.dumps(_plain(line), allow_nan=False) + "\n")
+            append(path, (json.dumps(line, allow_nan=False) + "\n").encode())
         except OSError as error:
+            del line["sha256"]
             raise InputError(f"cannot write {path}: {error.strerror}; the frames before are complete") from error
 
+    def keep_if_due(self, simulation: Simulation) -> None:
+        """Save the state where it is time to."""
+        if self._plan.every.due(time.monotonic() - self._when, simulation.frame - self._kept):
+            self.keep(simulation)
+
     def keep(self, simulation: Simulation) -> str:
-        """Save the last good state and say what is left of the run."""
-        kept = _kept(self._folder)
+        """Save the last good state, with the one saved before as the older one, and say what there is of the run."""
+        kept, plan = _kept(self._folder), self._plan
+        if self._line.get("frame") != plan.first + simulation.frame:
+            return kept
+        run = {
+            "scene": plan.name,
+            "parameters": dict(plan.parameters),
+            "options": {name: getattr(plan, name) for name in ("export", "mesh", "triangles", "first")}
+            | {"budget": plan.scene.budget},
+            "frame": self._line["frame"],
+            "line": self._line,
+            "empty_from": self.empty_from,
+        }
+        newer, newest, older = (self._folder / name for name in (NEWER, CHECKPOINT, OLDER))
         try:
-            simulation.save_checkpoint(self._folder / CHECKPOINT)
+            simulation.save_checkpoint(newer, run)
+            if newest.exists() and self._kept != simulation.frame:
+                os.replace(newest, older)
+            os.replace(newer, newest)
         except OSError as error:
             return f"{kept}, {CHECKPOINT} could not be written: {error.strerror}"
+        self._kept, self._when = simulation.frame, time.monotonic()
         return f"{kept} and the last good state in {CHECKPOINT}"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -73,6 +74,7 @@ class Simulation:
         scene: what to simulate.
         device: "cpu", "cuda:0", ...
         checkpoint: file to go on from; None to start.
+        changed: whether the scene may differ from that of the file, see `load_checkpoint`.
 
     Raises:
         InputError: the scene, the device or the checkpoint cannot be used.
@@ -85,7 +87,13 @@ class Simulation:
             of launching alone.
     """
 
-    def __init__(self, scene: Scene, device: str = "cpu", checkpoint: str | os.PathLike | None = None):
+    def __init__(
+        self,
+        scene: Scene,
+        device: str = "cpu",
+        checkpoint: str | os.PathLike | None = None,
+        changed: bool = False,
+    ):
         self.scene = scene
         self.step_seconds: list[float] = []
         self.device = find_device(device)
@@ -95,7 +103,7 @@ class Simulation:
         self.events = Events(scene.shape) if isinstance(scene.shape, Cluster) else None
         try:
             if checkpoint is not None:
-                self.load_checkpoint(checkpoint)
+                self.load_checkpoint(checkpoint, changed)
             else:
                 self._begin()
         except (MemoryError, RuntimeError) as error:
@@ -580,15 +588,23 @@ class Simulation:
             lines[name] |= {"solves": account.solves, "unsolved": account.late, "worst": account.worst}
         return lines
 
-    def save_checkpoint(self, path: str | os.PathLike) -> None:
+    def back(self) -> None:
+        """Return to the last good frame, from within a frame that was interrupted."""
+        self._go_back(None)
+
+    def save_checkpoint(self, path: str | os.PathLike, run: Mapping | None = None) -> None:
         """Write the state to `path` (.npz), whole or not at all, see `melp_warp.checkpoint`; the run goes on as if not.
+
+        Args:
+            path: the file.
+            run: what the command line wants to know again; plain values.
 
         Raises:
             OSError: it cannot be written.
         """
         self.stepper.settle()
         film = {"spacing": self.film.spacing, "radius": self.film.radius, "room": self.film.room}
-        checkpoint.write(path, self.scene, film, self.state, self.notices)
+        checkpoint.write(path, self.scene, film, self.state, self.notices, run)
 
     def load_checkpoint(self, path: str | os.PathLike, changed: bool = False) -> None:
         """Go on from a checkpoint of the same scene, bit for bit on the CPU.

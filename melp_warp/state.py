@@ -134,6 +134,7 @@ class Memory:
         part: [parts, SLOTS] energy budget of the step in progress, see `Budget`.
         lying: [parts, 8] where the liquid lies.
         book: [4, SLOTS] what the steps add up to.
+        asked: [1] whether the step to come is to note what is stored.
     """
 
     x: wp.array = _array(wp.vec3, "n")
@@ -156,6 +157,7 @@ class Memory:
     part: wp.array = _array(wp.float64, "p", lambda f: f.budget, SLOTS)
     lying: wp.array = _array(wp.float64, "p", lambda f: f.budget, 8)
     book: wp.array = _array(wp.float64, 4, lambda f: f.budget, SLOTS)
+    asked: wp.array = _array(wp.int32, 1, lambda f: f.budget)
 
 
 @dataclass
@@ -344,7 +346,7 @@ class State:
 
     def forget(self) -> None:
         """Remember nothing: for particles that were put elsewhere by hand."""
-        keep = ("area", "volume", "part", "lying", "book")  # they say how the run was set up, and what it did
+        keep = ("area", "volume", "part", "lying", "book", "asked")  # they say how the run was set up, and what it did
         for name, array in _arrays(self.memory).items():
             if name not in keep:
                 array.zero_()

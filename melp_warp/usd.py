@@ -532,6 +532,11 @@ class CacheWriter:
         index: refractive index of the film.
         origin: where the points of all frames are measured from, m: the prims are translated there, in float64.
         rims: points [k, 3] along each wire that holds the film, from `origin`, m.
+        there: first and last frame of a cache in the folder that goes on; None for a new one. The last may be one
+            before the first, for none.
+
+    Attributes:
+        sums: SHA-256 of the root and the manifest as they are now, by their paths in the folder.
 
     Raises:
         InputError: an argument is out of range, or the folder holds a run, is a file or cannot be written.
@@ -547,6 +552,7 @@ class CacheWriter:
         index: float = WATER_INDEX,
         origin: Origin = (0.0, 0.0, 0.0),
         rims: Sequence[np.ndarray] = (),
+        there: tuple[int, int] | None = None,
     ):
         require(np.isscalar(fps) and np.isfinite(fps) and fps > 0.0, "fps", fps, "a number above 0")
         require(isinstance(metadata.get("scene"), str), "metadata.scene", metadata.get("scene"), "text")
@@ -573,8 +579,13 @@ class CacheWriter:
         self._last: int | None = None
         self._origin = tuple(float(x) for x in origin)
         self._root = _root_layer(self._fps, self._prims, _checked_metadata(metadata) | own, self._origin, rims)
-        _claim(self.directory)
-        self._manifest = _export(_manifest_layer(self._fps, self._prims), self.directory / MANIFEST)
+        if there is None:
+            _claim(self.directory)
+        self.sums = {MANIFEST: _export(_manifest_layer(self._fps, self._prims), self.directory / MANIFEST)}
+        if there is not None and there[0] <= there[1]:
+            self._first, self._last = there
+            _set_range(self._root, *there)
+            self.sums[ROOT] = _export(self._root, self.directory / ROOT)
 
     def write(self, frame_index: int, frames: Mapping[str, ParticleFrame | MeshFrame]) -> dict[str, str]:
         """Add one frame and bring the root up to date.
@@ -609,9 +620,9 @@ class CacheWriter:
         digests = {f"{FRAMES}/{path.name}": _export(layer, path)}
         first = frame_index if self._first is None else self._first
         _set_range(self._root, first, frame_index)
-        digests |= {ROOT: _export(self._root, self.directory / ROOT), MANIFEST: self._manifest}
+        self.sums[ROOT] = _export(self._root, self.directory / ROOT)
         self._first, self._last = first, frame_index
-        return digests
+        return digests | self.sums
 
 
 # --- reading -------------------------------------------------------------------------------------------------------

@@ -70,8 +70,14 @@ class StandIn:
         result = {"time": self.time, "dt": 0.01, "substeps": 2, "volume": float("nan"), "momentum": np.zeros(3)}
         return {**result, "notices": dict(self.notices.of_frame)}
 
-    def save_checkpoint(self, path):
+    def save_checkpoint(self, path, run=None):
         np.savez(path, frame=self.frame)
+
+    def back(self):
+        pass
+
+    def conclude(self):
+        pass
 
 
 @pytest.fixture(autouse=True)
@@ -307,7 +313,7 @@ def fill_disk(monkeypatch, files):
 
 
 def test_a_full_disk_keeps_the_frames_before(tmp_path, monkeypatch, capsys):
-    fill_disk(monkeypatch, 1 + 2 * 3)
+    fill_disk(monkeypatch, 1 + 2 * 3 + 1)  # the manifest, two files a frame, the first checkpoint
     out = tmp_path / "cache"
     assert run("equilibrium", "--frames", 9, "--quiet", "--out", out, *FEW) == 2
     one_line(capsys, "No space left on device")
@@ -381,7 +387,7 @@ def test_notices_keep_the_worst_of_a_frame_and_forget_one_done_again():
 
 
 def test_a_failing_step_on_a_full_disk(tmp_path, solver, monkeypatch, capsys):
-    def refuse(self, path):
+    def refuse(self, path, run=None):
         raise OSError(28, "No space left on device")
 
     solver.fail_at, solver.save_checkpoint = 1, refuse
@@ -410,7 +416,7 @@ def test_ctrl_c_leaves_a_valid_cache(tmp_path, solver, capsys):
     solver.interrupt_at = 4
     out = tmp_path / "cache"
     assert run("equilibrium", "--frames", 9, "--quiet", "--out", out, *FEW) == 130
-    assert capsys.readouterr().err == f"melp-warp: interrupted: {out} holds 4 frames, 0 to 3\n"
+    assert capsys.readouterr().err == f"melp-warp: interrupted: {out} holds 4 frames, 0 to 3; --resume goes on\n"
     assert [line["frame"] for line in lines(out)] == list_frames(out) == [0, 1, 2, 3]
     assert check_cache(out) == []
 
@@ -421,7 +427,7 @@ def test_ctrl_c_while_a_frame_is_written_finishes_it(tmp_path, monkeypatch, caps
 
     def interrupted(*arguments, **options):
         calls.append(arguments)
-        if len(calls) == 4:
+        if len(calls) == 5:
             os.kill(os.getpid(), signal.SIGINT)
         return replace(*arguments, **options)
 
@@ -450,7 +456,7 @@ def test_ctrl_c_in_a_finalizer_is_not_lost(tmp_path, solver, capsys):
     solver.advance_frame = advance_frame
     out = tmp_path / "cache"
     assert run("equilibrium", "--frames", 9, "--quiet", "--out", out, *FEW) == 130
-    assert "3 frames, 0 to 2" in capsys.readouterr().err
+    assert "4 frames, 0 to 3" in capsys.readouterr().err
     assert check_cache(out) == []
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 

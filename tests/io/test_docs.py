@@ -48,6 +48,7 @@ NAME_ALONE = re.compile(r"melp-warp (?!scenes)\w+")
 SHORT_TOOLS = {
     "bench.py": "--only cases --case oscillating_bubble --frames 1",
     "figures.py": "--size 64",
+    "kills.py": "--kills 1 --out out/one",
     "limits.py": "--only radius --random 1",
     "mesh.py": "--largest 200",
     "tradeoff.py": "--only marangoni --size 0.3 --points 1",

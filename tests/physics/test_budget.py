@@ -96,7 +96,7 @@ def test_the_budget_changes_no_bit():
     with_it, without = (wave(frames=3, budget=budget) for budget in (True, False))
     a, b = with_it.state.numpy(), without.state.numpy()
     assert all(np.array_equal(a[key], b[key]) for key in b)
-    assert set(a) - set(b) == {"memory.part", "memory.lying", "memory.book"}
+    assert set(a) - set(b) == {"memory.part", "memory.lying", "memory.book", "memory.asked"}
     assert without.stepper.budget is None and without.ledger is None
     assert "budget" not in without.diagnostics()
     bubbles = [ring("trapezoid", 40.0, 0.1, budget=budget).state.numpy() for budget in (True, False)]
