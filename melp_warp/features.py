@@ -27,6 +27,7 @@ class Features:
         foam: there are several regions, or walls, to touch.
         single: E are all particles there are, and carry the film along (`SingleLayer`).
         circulation: L carry circulation.
+        mixes: L exchange what they hold where the flow shears them.
         explicit: the normal motion is stepped by the present force over the mass.
         budget: the energy budget is kept; a single layer has none.
     """
@@ -45,6 +46,7 @@ class Features:
     foam: bool
     single: bool
     circulation: bool
+    mixes: bool
     explicit: bool
     budget: bool
 
@@ -70,6 +72,7 @@ class Features:
             foam=foam,
             single=single,
             circulation=lagrangian and scene.numerics.carrier == "circulation",
+            mixes=lagrangian and scene.numerics.mixing > 0.0,
             explicit=single or (scene.numerics.scheme == "explicit" and not foam),
             air=air,
             dragged=air and scene.shape.closed and scene.surroundings.air_drag > 0.0,
@@ -96,6 +99,7 @@ class Features:
             "air_range": self.air and self.closed and not (self.foam or self.explicit),
             "homes": self.lagrangian,
             "circulation": self.circulation,
+            "mixing": self.mixes,
             "boundary": self.rim,
             "single_layer": self.single,
             "foam": self.foam,

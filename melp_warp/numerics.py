@@ -35,6 +35,7 @@ class Numerics:
         affinity: share of the affine part in the transfer from L to E (7), Jiang et al. 2015.
         flip: u_L becomes sum W^ u_E' + flip (u_L - sum W^ u_E), u_E before and u_E' after the step's forces. 0 for
             (16), 1 for FLIP, with affinity 0 that of Brackbill and Ruppel 1986.
+        mixing: C of the diffusion C d^2 |S| between L, d their spacing, S the flow's strain rate (docs/vortices.md).
         skin: lists live until particles have moved half of it.
         redistribution: by (20).
         spread: (delta_max - delta_min)/delta_mean below which E are left alone.
@@ -65,6 +66,9 @@ class Numerics:
     affinity: float = quantity(Key("-", "share of the affine part in transfers (1: APIC, 0: PIC)", 0.0, 1.0), 1.0)
     flip: float = quantity(
         Key("-", "share that L keep of their own velocity's departure from the E (0: none, 1: FLIP)", 0.0, 1.0), 0.0
+    )
+    mixing: float = quantity(
+        Key("-", "diffusion between L over their spacing squared and the flow's strain rate (0: none)", 0.0, 10.0), 0.0
     )
     skin: float = quantity(Key("spacings", "skin of the neighbour lists, in E spacings", 0.05, 4.0), 0.25)
     redistribution: float = quantity(

@@ -314,7 +314,7 @@ def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tupl
     state.ids = stored.ids
     stays = ("limit", "cap", "speed", "pending", "unborn", "shown", "ledger")
     kept = {name: getattr(before.course, name) for name in stays}
-    state.course = Course(**kept, crossed=state.time, labels=stored.labels, spilled=stored.spilled)
+    state.course = Course(**kept, crossed=state.time, mixed=state.time, labels=stored.labels, spilled=stored.spilled)
     film = film_of(scene, state, film.spacing, film.room)
     if not stored.labels:
         return film, make_stepper(film, state)

@@ -173,6 +173,8 @@ class Course:
         builds: times that the lists of E and of L were built; 0 where they are to be built where particles are now.
         clock: time that the lists have seen, s.
         crossed: time of the last exchange of L between films, s.
+        mixed: time of the last exchange of L that mix, s.
+        unmixed: steps since then.
         fresh: whether a foam has done no step since it was set up.
         paid: share of what it passes on late that a foam has passed on in the last step.
         labels: the scene's number of each region.
@@ -191,6 +193,8 @@ class Course:
     builds: list[int] = field(default_factory=lambda: [0, 0])
     clock: float = 0.0
     crossed: float = 0.0
+    mixed: float = 0.0
+    unmixed: int = 0
     fresh: bool = True
     paid: float = 0.0
     labels: list[int] = field(default_factory=lambda: [0])
@@ -295,7 +299,7 @@ class State:
         self.motion = wp.zeros(regions, dtype=wp.vec3, device=device)
         self.border = wp.zeros(len(BORDER_SLOTS), dtype=wp.float64, device=device) if features.collects else None
         self.memory = allocate(Memory, self.sizes, device, features)
-        self.course = Course(crossed=time)
+        self.course = Course(crossed=time, mixed=time)
         self.seen = Reading(self.memory.travel)
         self.ids = {"e": np.arange(e.count), "l": np.arange(l.count if l else 0)}
         self.origin = np.zeros(3) if origin is None else origin
@@ -358,6 +362,7 @@ class State:
                 for name in ("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger")
             },
             crossed=self.time,
+            mixed=self.time,
         )
 
 

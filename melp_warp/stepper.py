@@ -24,6 +24,7 @@ from melp_warp.kernels import transfer as kt
 from melp_warp.launch import Recorded, launch
 from melp_warp.linear import WORTHLESS, Account, ConjugateGradient, RationalLaplacian
 from melp_warp.membrane import Membrane
+from melp_warp.mixing import Mixing
 from melp_warp.neighbors import NeighborLists
 from melp_warp.notices import Notices
 from melp_warp.rim import Rim
@@ -74,6 +75,7 @@ class Stepper:
         self.circulation = (
             Circulation(film, state, self.lists, self.geometry, self.transfer, self.rim) if f.circulation else None
         )
+        self.mixing = Mixing(film, state, self.lists) if f.mixes else None
         self.membrane = self._make_membrane() if f.moving else None
         self.tangential = (
             Tangential(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim)
@@ -139,7 +141,7 @@ class Stepper:
 
     def prepare(self, dt: float) -> wp.array:
         """Set what depends on the step dt (s) to come; `dt` as the stages take it."""
-        for stage in (self.exchange, self.transfer, self.membrane, self.tangential):
+        for stage in (self.exchange, self.mixing, self.transfer, self.membrane, self.tangential):
             if stage is not None:
                 stage.prepare(dt)
         self.lists.expect(dt)
@@ -168,6 +170,8 @@ class Stepper:
         if crossing:
             self.exchange.apply(self.dt.array)  # (27), (28)
         self.lists.update_l(anew=crossing)
+        if self.mixing is not None and self.mixing.due:
+            self.mixing.apply()
 
     def _gather(self) -> None:
         self.lists.note_late(1)

@@ -1,0 +1,102 @@
+"""Mixing of what L hold, and the grain of pictures."""
+
+import numpy as np
+import pytest
+
+from melp_warp.grain import grain
+from melp_warp.material import Material
+from melp_warp.numerics import Numerics
+from melp_warp.registry import load_scene
+from melp_warp.scene import Scene
+from melp_warp.shapes import Disc, Rectangle, Sphere
+from melp_warp.simulation import Simulation
+
+WIDTH = 0.1
+
+
+def f64(array):
+    return array.numpy().astype(np.float64)
+
+
+def grain_of(simulation):
+    lag = simulation.state.l
+    return grain(f64(lag.x), f64(lag.normal), f64(lag.eta), lag.region.numpy())
+
+
+def test_grain_is_what_is_not_smooth():
+    """Nothing of a quadratic; of noise its share, and the error of what 18 noisy values say besides."""
+    points = Sphere(1.0).sample(2000).points
+    noise = np.random.default_rng(0).normal(size=2000)
+    region = np.zeros(2000, dtype=int)
+    smooth = 1.0 + points[:, 0] + 0.3 * points[:, 1] ** 2
+    assert grain(points, points, smooth, region) < 2e-3
+    assert grain(points, points, smooth + 0.1 * smooth.std() * noise, region) == pytest.approx(0.12, abs=0.02)
+    assert 1.0 < grain(points, points, noise, region) < 1.5
+    assert grain(points, points, np.ones(2000), region) == 0.0
+
+
+def stirred(mixing, frames=36):
+    script = load_scene("turbulent_film")
+    values = {"e_count": 600, "whirls": 2, "l_per_e": 8, "mixing": mixing}
+    simulation = Simulation(script.build(script.parameters.values(values)))
+    start = simulation.diagnostics()
+    for _ in range(frames):
+        simulation.advance_frame()
+    return simulation, start, simulation.diagnostics()
+
+
+def test_a_stirred_film_turns_even_not_grainy():
+    """Liquid, surfactant and momentum stay; the grain is half of what it is without at most."""
+    plain, _, _ = stirred(0.0)
+    mixed, start, end = stirred(1.0)
+    assert grain_of(mixed) < 0.5 * grain_of(plain)
+    assert end["mass"] == pytest.approx(start["mass"], rel=1e-6)
+    assert end["surfactant"] == pytest.approx(start["surfactant"], rel=1e-6)
+
+
+def test_a_pass_keeps_momentum_and_areas():
+    """To rounding, and it makes what differs differ less."""
+    simulation, _, _ = stirred(1.0, frames=3)
+    lag, mixing = simulation.state.l, simulation.stepper.mixing
+
+    def sums():
+        mass, u = f64(lag.mass), f64(lag.u)
+        return mass.sum(), f64(lag.surfactant).sum(), (mass[:, None] * u).sum(axis=0), mass / f64(lag.eta)
+
+    before, spread = sums(), f64(lag.eta).std()
+    mixing._time.at(1.0)
+    mixing.apply()
+    after = sums()
+    assert after[0] == pytest.approx(before[0], rel=1e-7)
+    assert after[1] == pytest.approx(before[1], rel=1e-7)
+    np.testing.assert_allclose(after[2], before[2], atol=1e-6 * np.sum(f64(lag.mass)) * np.abs(f64(lag.u)).max())
+    np.testing.assert_allclose(after[3], before[3], rtol=1e-5)
+    assert f64(lag.eta).std() < spread
+
+
+def amplitude(simulation, wave):
+    """Share of the thickness's cosine along the L's first places that is left."""
+    eta = f64(simulation.state.l.eta)
+    return 2.0 * np.mean((eta / eta.mean() - 1.0) * wave)
+
+
+def test_nothing_mixes_where_nothing_shears():
+    """A wave of 4 L spacings on a film at rest: less than 1 % is gone after 5 s."""
+    shape, m, e_count, l_per_e = Disc(0.05), Material(), 300, 8
+    number = 2.0 * np.pi / (4.0 * np.sqrt(shape.area / (e_count * l_per_e)))
+
+    def thickness(x):
+        return m.thickness * (1.0 + 0.01 * np.cos(number * x[:, 0]))
+
+    scene = Scene("still", shape, e_count, l_per_e, numerics=Numerics(mixing=1.0), thickness=thickness, fps=12.0)
+    simulation = Simulation(scene)
+    wave = np.cos(number * f64(simulation.state.l.x)[:, 0])
+    start = amplitude(simulation, wave)
+    for _ in range(60):
+        simulation.advance_frame()
+    assert amplitude(simulation, wave) == pytest.approx(start, rel=0.01)
+
+
+def test_absent_where_it_is_not_asked_for():
+    simulation = Simulation(Scene("plain", Rectangle(WIDTH, WIDTH), 300, 4))
+    assert simulation.stepper.mixing is None
