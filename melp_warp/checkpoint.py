@@ -16,7 +16,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,9 @@ import melp_warp
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
 from melp_warp.files import load_arrays, save_arrays
+from melp_warp.material import Material, Surroundings
 from melp_warp.notices import Notices
+from melp_warp.numerics import Numerics
 from melp_warp.sampling import boundary_count, state_of
 from melp_warp.scene import Scene
 from melp_warp.state import Course, State, declared
@@ -90,6 +92,22 @@ def _flat(name: str, value: object) -> Iterator[tuple[str, object]]:
         yield name, value.item()
     elif value is None or isinstance(value, (bool, int, float, str)):
         yield name, value
+
+
+def changed(scene: Scene, numbers: Mapping[str, object]) -> Scene:
+    """The scene with some of its numbers changed, of those that may change during a run.
+
+    Raises:
+        InputError: a number that there is none of, that may not change, or that is out of range.
+    """
+    parts = {"material.": Material, "surroundings.": Surroundings, "numerics.": Numerics}
+    homes = {f.name: part for part, cls in parts.items() for f in fields(cls)} | {"dt": ""}
+    free = sorted(name for name, part in homes.items() if f"{part}{name}" not in STAY)
+    for name in numbers:
+        require(name in free, "a number that changes during a run", name, f"one of {', '.join(free)}")
+    given = {part: {n: v for n, v in numbers.items() if homes[n] == part} for part in parts}
+    made = {part[:-1]: replace(getattr(scene, part[:-1]), **values) for part, values in given.items()}
+    return replace(scene, **made, **{name: value for name, value in numbers.items() if name == "dt"})
 
 
 def compare(path: str | os.PathLike, was: Mapping, scene: Scene, changed: bool) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from melp_warp.errors import SCENE_FILE, InputError, from_scene, in_a_line
-from melp_warp.parameters import Parameters, Values
+from melp_warp.parameters import Parameters, Value, Values
 from melp_warp.scene import Scene
 
 NOT_INSTALLED = "melp-warp is not installed: run `pip install -e .` in the checkout first"
@@ -35,6 +35,15 @@ class SceneScript:
     description: str
     parameters: Parameters
     build: Callable[[Values], Scene]
+
+    def scene(self, **numbers: Value) -> Scene:
+        """The scene with some of its numbers replaced, SI or as typed: `scene(radius=0.05, thickness="400nm")`.
+
+        Raises:
+            InputError: for an unknown key, or a value that it does not take.
+        """
+        typed = self.parameters.parse(f"{key}={value}" for key, value in numbers.items() if isinstance(value, str))
+        return self.build(self.parameters.values({**numbers, **typed}))
 
 
 def scene_names() -> list[str]:

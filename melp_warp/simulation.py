@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import warp as wp
@@ -94,7 +94,7 @@ class Simulation:
         checkpoint: str | os.PathLike | None = None,
         changed: bool = False,
     ):
-        self.scene = scene
+        self._scene = scene
         self.step_seconds: list[float] = []
         self.device = find_device(device)
         self.watched = not self.device.is_cuda
@@ -128,6 +128,15 @@ class Simulation:
         self._good = None
         self._keep()
         self._remark()
+
+    @property
+    def scene(self) -> Scene:
+        """What is simulated, with the numbers as they are now."""
+        return self._scene
+
+    @scene.setter
+    def scene(self, _: Scene) -> None:
+        raise InputError("a scene cannot be replaced during a run: change its numbers with change(gravity=1.62, ...)")
 
     @property
     def film(self) -> Film:
@@ -591,6 +600,29 @@ class Simulation:
     def back(self) -> None:
         """Return to the last good frame, from within a frame that was interrupted."""
         self._go_back(None)
+
+    def change(self, **numbers: object) -> None:
+        """Go on with other numbers of the scene, between frames: `change(drag=0.01, gravity=(0, -1.62, 0), dt=None)`.
+
+        Args:
+            **numbers: fields of `Material`, `Surroundings` and `Numerics`, and `dt`.
+
+        Raises:
+            InputError: a number that there is none of, that is out of range or that cannot change during a run. Nothing
+                is changed then.
+        """
+        scene = checkpoint.changed(self.scene, numbers)
+        now, then = self.film.features, Features.of(scene)
+        if then != now:
+            stages = [f.name for f in fields(Features) if getattr(now, f.name) != getattr(then, f.name)]
+            names = ", ".join(numbers)
+            raise InputError(f"{names} cannot change so during a run, which was begun with other stages: {stages}")
+        self.stepper.settle()
+        film = {"spacing": self.film.spacing, "radius": self.film.radius, "room": self.film.room}
+        self._scene = scene
+        self.stepper = make_stepper(film_of(scene, self.state, **film), self.state)
+        self.state.course.speed = self._fastest_wave()
+        self._keep()
 
     def save_checkpoint(self, path: str | os.PathLike, run: Mapping | None = None) -> None:
         """Write the state to `path` (.npz), whole or not at all, see `melp_warp.checkpoint`; the run goes on as if not.

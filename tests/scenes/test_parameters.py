@@ -230,3 +230,15 @@ def test_scene_gets_every_value():
 def test_a_value_that_is_not_declared_is_named():
     with pytest.raises(AttributeError, match="declares no parameter 'height'"):
         _ = declare().values().height
+
+
+def test_a_script_makes_scenes_of_numbers_and_texts():
+    scene = load_scene("giant_bubble").scene(radius=0.05, displacement="1cm", thickness="400nm", air="none", dt="auto")
+    assert (scene.shape.radius, scene.material.thickness, scene.surroundings.air, scene.dt) == (
+        0.05,
+        4e-7,
+        "none",
+        None,
+    )
+    with pytest.raises(InputError, match="unknown key 'radios': did you mean radius"):
+        load_scene("giant_bubble").scene(radios=1.0)
