@@ -103,15 +103,13 @@ def test_whatever_is_typed(count, cache, capfd):
 
 @pytest.mark.slow
 def test_whatever_is_typed_in_a_shell(cache):
-    """241 of them as processes, which the solver does not start in: their folder is taken."""
+    """241 of them as processes, in which no solver starts: the folder of a run is taken."""
     Path("taken").mkdir()
     Path("taken/mine").write_text("")
-    typed = [c for c in calls(cache) if len(c) > 2 and c[0] in ("run", "check", "measure", "scenes", "preview")]
+    typed = [c for c in calls(cache) if len(c) > 2 and c[0] in ("run", "check", "measure", "scenes")]
+    typed = [c for c in typed if "--out" not in c and all(word.isprintable() for word in c)]
     for arguments in random.Random(2).sample(typed, 241):
-        if any(word.isprintable() is False or "\udcff" in word for word in arguments):
-            continue
-        out = ["--out", "taken"] if arguments[0] == "run" and "--out" not in arguments else []
-        done = process([*arguments, *out])
+        done = process([*arguments, *(["--out", "taken"] if arguments[0] == "run" else [])])
         said(done.returncode, done.stdout, done.stderr, arguments)
 
 
