@@ -27,7 +27,7 @@ from melp_warp.kernels.render import (
 
 wp.set_module_options({"enable_backward": False})
 
-TILE = wp.constant(8)
+TILE = wp.constant(4)
 MOST_HITS = wp.constant(20)
 MOST_FILMS = wp.constant(8)
 
@@ -378,6 +378,8 @@ def film_depth(seen: Surface, f: wp.vec3i, u: float, v: float) -> float:
 def let_through(film: wp.vec3, power: float) -> wp.vec3:
     """Part of what lies behind a film that is seen through it."""
     through = pass_through(film)
+    if power == 1.0:
+        return through
     return wp.vec3(wp.pow(through[0], power), wp.pow(through[1], power), wp.pow(through[2], power))
 
 
@@ -491,6 +493,10 @@ def draw_surfaces(
             if t > 0.0 and -t * ray[2] < farthest:
                 farthest = -t * ray[2]
                 behind = floor_light(view, look, light, ray, floor_normal[k], view.eye + t * world, behind)
+
+    if begins[tile] == ends[tile]:
+        image[row, column] = behind
+        return
 
     used = wp.int32(0)
     depth = hit_floats()
@@ -629,22 +635,70 @@ def respond(
 
 
 @wp.kernel
-def filter_samples(
+def average_blocks(
     samples: wp.array2d[wp.vec3],
-    weights: wp.array2d[wp.float32],
-    per_pixel: int,
+    size: int,
     first: int,
     # outputs
-    picture: wp.array2d[wp.vec3],
+    means: wp.array2d[wp.vec3],
 ):
-    """Mean of the samples about each pixel.
+    """Mean of each block of `size` x `size` samples, [rows, columns]; `first` is the block of thread 0."""
+    row = (first + wp.tid()) / means.shape[1]
+    column = (first + wp.tid()) % means.shape[1]
+    sum = wp.vec3(0.0, 0.0, 0.0)
+    r_end = wp.min((row + 1) * size, samples.shape[0])
+    c_end = wp.min((column + 1) * size, samples.shape[1])
+    for r in range(row * size, r_end):
+        for c in range(column * size, c_end):
+            sum += samples[r, c]
+    means[row, column] = sum / float((r_end - row * size) * (c_end - column * size))
+
+
+@wp.func
+def between_blocks(means: wp.array2d[wp.vec3], y: float, x: float) -> wp.vec3:
+    """Bilinear in means of blocks, at a place in blocks."""
+    y = wp.clamp(y - 0.5, 0.0, float(means.shape[0] - 1))
+    x = wp.clamp(x - 0.5, 0.0, float(means.shape[1] - 1))
+    i = wp.min(int(y), wp.max(means.shape[0] - 2, 0))
+    j = wp.min(int(x), wp.max(means.shape[1] - 2, 0))
+    k = wp.min(i + 1, means.shape[0] - 1)
+    m = wp.min(j + 1, means.shape[1] - 1)
+    a = y - float(i)
+    b = x - float(j)
+    low = (1.0 - b) * means[i, j] + b * means[i, m]
+    high = (1.0 - b) * means[k, j] + b * means[k, m]
+    return (1.0 - a) * low + a * high
+
+
+@wp.func
+def part_of(x: float) -> float:
+    """What is behind the point of a number."""
+    return x - wp.floor(x)
+
+
+@wp.kernel
+def develop(
+    response: wp.array2d[wp.vec3],
+    weights: wp.array2d[wp.float32],
+    per_pixel: int,
+    glow: wp.array2d[wp.vec3],
+    block: float,
+    plain: bool,
+    first: int,
+    # outputs
+    picture: wp.array3d[wp.uint8],
+):
+    """Mean of the samples about each pixel with the glow over it, in sRGB; a fixed pattern keeps dark gradients smooth.
 
     Args:
-        samples: [rows per_pixel, columns per_pixel].
+        response: [rows per_pixel, columns per_pixel].
         weights: [k, k] of the samples about a pixel.
         per_pixel: samples along a pixel's side.
+        glow: means of blocks, added.
+        block: pixels along a block's side.
+        plain: without glow and pattern, rounded.
         first: pixel of thread 0.
-        picture: [rows, columns].
+        picture: [rows, columns, 3] out.
     """
     row = (first + wp.tid()) / picture.shape[1]
     column = (first + wp.tid()) % picture.shape[1]
@@ -653,13 +707,23 @@ def filter_samples(
     reach = per_pixel / 2
     for a in range(weights.shape[0]):
         r = row * per_pixel - reach + a
-        if r >= 0 and r < samples.shape[0]:
+        if r >= 0 and r < response.shape[0]:
             for b in range(weights.shape[1]):
                 c = column * per_pixel - reach + b
-                if c >= 0 and c < samples.shape[1]:
-                    sum += weights[a, b] * samples[r, c]
+                if c >= 0 and c < response.shape[1]:
+                    sum += weights[a, b] * response[r, c]
                     total += weights[a, b]
-    picture[row, column] = sum / total
+    color = sum / total
+    offset = float(0.5)
+    if not plain:
+        color += between_blocks(glow, (float(row) + 0.5) / block, (float(column) + 0.5) / block)
+        offset = part_of(52.9829189 * part_of(0.06711056 * float(column) + 0.00583715 * float(row)))
+    for k in range(3):
+        x = wp.clamp(color[k], 0.0, 1.0)
+        code = 12.92 * x
+        if x > 0.0031308:
+            code = 1.055 * wp.pow(x, 1.0 / 2.4) - 0.055
+        picture[row, column, k] = wp.uint8(wp.clamp(255.0 * code + offset, 0.0, 255.0))
 
 
 # --- borders ---------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The command line: `melp-warp run | scenes | preview | mesh | check | measure | report | tradeoff`."""
+"""The command line: `melp-warp run | scenes | preview | mesh | blender | check | measure | report | tradeoff`."""
 
 from __future__ import annotations
 
@@ -127,6 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_scenes(commands)
     _add_preview(commands)
     _add_mesh(commands)
+    _add_blender(commands)
     _add_check(commands)
     _add_measure(commands)
     _add_report(commands)
@@ -265,6 +266,13 @@ def _add_mesh(commands: argparse._SubParsersAction) -> None:
     mesh.add_argument("folder", metavar="DIR", type=_path, help="folder that a run wrote, with E")
     mesh.add_argument("--triangles", metavar="N", type=int, help="triangles of a frame, about (default: as many as L)")
     mesh.set_defaults(command=_mesh)
+
+
+def _add_blender(commands: argparse._SubParsersAction) -> None:
+    words = "write a script that opens the cache in Blender"
+    blender = commands.add_parser("blender", help=words, description=f"{words[0].upper()}{words[1:]}.")
+    blender.add_argument("folder", metavar="DIR", type=Path, help="folder that a run wrote")
+    blender.set_defaults(command=_blender)
 
 
 def _add_check(commands: argparse._SubParsersAction) -> None:
@@ -440,6 +448,13 @@ def _mesh(options: argparse.Namespace) -> int:
     if problems:
         return FAILED
     print(f"{options.folder}: every frame has its meshes, all closed")
+    return OK
+
+
+def _blender(options: argparse.Namespace) -> int:
+    from melp_warp import runner
+
+    print(runner.write_blender(options.folder))
     return OK
 
 

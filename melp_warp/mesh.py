@@ -49,6 +49,9 @@ EVEN = 0.85
 
 _FIELDS = [field.name for field in fields(ParticleFrame) if field.name != "origin"]
 
+CURVE_POINTS = 17
+"""Points of the rim from one rim point to the next."""
+
 FOLDED = "triangles look inwards"
 """End of the line that tells of them: such a mesh is closed, and can be drawn."""
 
@@ -346,15 +349,16 @@ def _follow_rim(coarse: Coarse, fine: _Fine, edge: np.ndarray, n_e: int) -> None
     """Put the vertices between rim points onto the rim."""
     inner = fine.parts - 1
     place = fine.place.numpy()
-    number = {tuple(ends): k for k, ends in enumerate(edge.tolist()) if ends[0] >= n_e}
+    along = np.flatnonzero(edge[:, 0] >= n_e)
+    number = {tuple(ends): k for k, ends in zip(along.tolist(), edge[along].tolist(), strict=True)}
+    between = coarse.rim.between(fine.parts)
     for k, ahead in enumerate(coarse.rim.ahead):
         ends = (n_e + k, n_e + int(ahead))
         found = number.get(ends, number.get(ends[::-1]))
         if found is None:
             continue
-        between = coarse.rim.between(k, np.arange(1, fine.parts) / fine.parts)
         first = len(coarse.region) + found * inner
-        place[first : first + inner] = between if ends[0] < ends[1] else between[::-1]
+        place[first : first + inner] = between[k] if ends[0] < ends[1] else between[k, ::-1]
     fine.place.assign(place)
 
 
@@ -469,7 +473,7 @@ class Rim:
         behind: [n] the one before.
         number: [n] its rim.
         count: rims.
-        curve: [n] dense points from each to the next, m.
+        curve: [n, k, 3] dense points from each to the next, m.
     """
 
     points: np.ndarray
@@ -478,13 +482,13 @@ class Rim:
     behind: np.ndarray
     number: np.ndarray
     count: int
-    curve: list[np.ndarray]
+    curve: np.ndarray
 
     @classmethod
     def around(cls, points: np.ndarray, normals: np.ndarray, rims: Sequence[np.ndarray], step: float) -> Rim:
         """Rim points about `step` (m) apart, with normals as the film has them there."""
-        made = [[np.zeros((0, 3)), np.zeros((0, 3)), *(np.zeros(0, int) for _ in range(3))]]
-        curves: list[np.ndarray] = []
+        nothing = np.zeros(0, int)
+        made, first = [[np.zeros((0, 3)), np.zeros((0, 3)), *[nothing] * 3, np.zeros((0, CURVE_POINTS, 3))]], 0
         for number, dense in enumerate(rims):
             dense = np.asarray(dense, dtype=np.float64)
             rim, curve = _resample(dense, *_feet(points, dense, step), step)
@@ -493,16 +497,24 @@ class Rim:
             inward = points[nearest] - rim
             if np.einsum("ij,ij->", np.cross(along, inward), normals[nearest]) < 0.0:
                 rim, nearest, along, inward = rim[::-1], nearest[::-1], -along[::-1], inward[::-1]
-                curve = [c[::-1] for c in [*curve[-2::-1], curve[-1]]]
+                curve = np.concatenate([curve[-2::-1], curve[-1:]])[:, ::-1]
             n = _rim_normals(normals[nearest], inward, along)
-            k, first = np.arange(len(rim)), len(curves)
-            made.append([rim, n, first + np.roll(k, -1), first + np.roll(k, 1), np.full(len(rim), number)])
-            curves += curve
-        return cls(*(np.concatenate(parts) for parts in zip(*made, strict=True)), len(rims), curves)
+            k = np.arange(len(rim))
+            number_of = np.full(len(rim), number)
+            made.append([rim, n, first + np.roll(k, -1), first + np.roll(k, 1), number_of, curve])
+            first += len(rim)
+        arrays = [np.concatenate(parts) for parts in zip(*made, strict=True)]
+        return cls(*arrays[:5], len(rims), arrays[5])
 
-    def between(self, k: int, t: np.ndarray) -> np.ndarray:
-        """Points at the parts t of the way along the rim from point k to the next."""
-        return _along(self.curve[k], t)
+    def between(self, parts: int) -> np.ndarray:
+        """Points that cut the rim from each point to the next into equal parts, [n, parts - 1, 3]."""
+        size = np.linalg.norm(np.diff(self.curve, axis=1), axis=2)
+        length = np.concatenate([np.zeros((len(size), 1)), np.cumsum(size, axis=1)], axis=1)
+        wanted = length[:, -1:] * np.arange(1, parts) / parts
+        at = (length[:, 1:-1, None] <= wanted[:, None]).sum(axis=1)
+        rows = np.arange(len(size))[:, None]
+        t = ((wanted - length[rows, at]) / np.maximum(size[rows, at], 1e-300))[..., None]
+        return (1.0 - t) * self.curve[rows, at] + t * self.curve[rows, at + 1]
 
 
 def _nearest(source: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
@@ -539,16 +551,8 @@ def _rim_normals(normals: np.ndarray, inward: np.ndarray, along: np.ndarray) -> 
     return n / np.linalg.norm(n, axis=1, keepdims=True)
 
 
-def _along(curve: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Points at the parts t of the length of a curve."""
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    return np.stack([np.interp(t * length[-1], length, curve[:, axis]) for axis in range(3)], axis=1)
-
-
-def _resample(
-    dense: np.ndarray, feet: np.ndarray, distance: np.ndarray, step: float
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Points of a closed curve about `step` apart, and the curve from each to the next.
+def _resample(dense: np.ndarray, feet: np.ndarray, distance: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a closed curve about `step` apart, and the curve from each to the next, [n, k, 3].
 
     Among them are the corners of the curve and the feet of the E beside it, so that no E lies within a circle over two
     rim points that follow each other.
@@ -572,7 +576,7 @@ def _resample(
     def at(s):
         return np.stack([np.interp(s % whole, length, closed[:, axis]) for axis in range(3)], axis=-1)
 
-    return at(places), [at(np.linspace(a, b, 17)) for a, b in zip(places, ends, strict=True)]
+    return at(places), at(np.linspace(places, ends, CURVE_POINTS, axis=1))
 
 
 def _turns(dense: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -119,3 +119,95 @@ def measure_sphere(e_count: int, l_per_e: int = 16, jitter: float = 0.15, radius
         seconds,
         problems + problems_of(mesh),
     )
+
+
+SCENES = {
+    "cluster": {"e_count": 2600, "l_per_e": 1},
+    "deforming_rectangle_2m": {"e_count": 400, "l_per_e": 4},
+    "double_bubble": {"e_count": 500, "l_per_e": 4},
+    "drainage": {"e_count": 300, "l_per_e": 4},
+    "equilibrium": {"e_count": 300, "l_per_e": 4},
+    "foam_mountain": {"e_count": 1000, "bubbles": 5},
+    "four_bubbles": {"e_count": 800, "l_per_e": 2},
+    "giant_bubble": {"e_count": 400, "l_per_e": 4},
+    "giant_bubble_vortices": {"e_count": 500, "l_per_e": 4},
+    "leapfrog": {"e_count": 800, "l_per_e": 4},
+    "oscillating_bubble": {"e_count": 400},
+    "quadruple_bubble": {"e_count": 800, "l_per_e": 2},
+    "size_ratio": {"e_count": 480, "l_per_e": 2},
+    "stirred_disc": {"e_count": 400, "l_per_e": 4},
+    "taylor_vortices": {"e_count": 400, "l_per_e": 4},
+    "triple_bubble": {"e_count": 600, "l_per_e": 2},
+    "turbulent_film": {"e_count": 600, "l_per_e": 4},
+}
+"""Each scene, small: about 200 E a bubble, as few as foams take."""
+
+
+@dataclass
+class SceneRecord:
+    """How the meshes of all frames of a run are.
+
+    Attributes:
+        name: of the scene.
+        frames: looked at.
+        meshes: regions of all frames.
+        faces: triangles of a frame, the most.
+        liquid: largest relative error of a region's thickness integral against its liquid.
+        moved: largest distance of a vertex from its E, m.
+        share: time of making the meshes over that of the run.
+        problems: what is not closed or inside out, with its frame.
+    """
+
+    name: str
+    frames: int = 0
+    meshes: int = 0
+    faces: int = 0
+    liquid: float = 0.0
+    moved: float = 0.0
+    share: float = 0.0
+    problems: list[str] = field(default_factory=list)
+
+
+def prove_scene(name: str, frames: int | None = None) -> SceneRecord:
+    """Run a scene of `SCENES` and look at the meshes of every frame.
+
+    Args:
+        name: of the scene.
+        frames: after the first; None for as many as the scene has.
+    """
+    from melp_warp.registry import load_scene
+    from melp_warp.simulation import Simulation
+
+    script = load_scene(name)
+    overrides = SCENES[name] if frames is None else SCENES[name] | {"frames": frames}
+    scene = script.build(script.parameters.values(overrides))
+    simulation, record = Simulation(scene), SceneRecord(name)
+    began, spent = time.perf_counter(), 0.0
+    rims = scene.shape.edges()
+    while True:
+        few = simulation.particles("e")
+        many = simulation.particles("l") if simulation.has_l else None
+        start = time.perf_counter()
+        meshes, problems = make_meshes(few, many, [rim - np.array(few.origin) for rim in rims])
+        spent += time.perf_counter() - start
+        record.problems += [f"frame {simulation.frame}: {problem}" for problem in problems]
+        _look_at(record, simulation.frame, meshes, few, many or few, len(rims))
+        if simulation.frame == scene.frames:
+            break
+        simulation.advance_frame()
+    record.share = spent / (time.perf_counter() - began)
+    return record
+
+
+def _look_at(record: SceneRecord, frame: int, meshes: dict, few: ParticleFrame, full: ParticleFrame, rims: int) -> None:
+    record.frames += 1
+    record.meshes += len(meshes)
+    record.faces = max(record.faces, sum(len(mesh.faces) for mesh in meshes.values()))
+    for region, mesh in meshes.items():
+        record.problems += [f"frame {frame}: region {region}: {problem}" for problem in problems_of(mesh, rims)]
+        held = full.region == region
+        liquid = float((0.25 * np.pi * full.widths[held].astype(float) ** 2 * full.thickness[held]).sum())
+        if liquid > 0.0:
+            record.liquid = max(record.liquid, abs(liquid_of(mesh) / liquid - 1.0))
+        own = few.points[few.region == region]
+        record.moved = max(record.moved, float(np.abs(mesh.points[: len(own)] - own).max(initial=0.0)))

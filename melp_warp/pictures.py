@@ -113,7 +113,10 @@ class Cache:
         if self._with_l:
             e = apart.read_frame(self.folder, frame, "FilmE") if self._with_e else thin_out(film, self._l_per_e)
             many = film
-        meshes, problems = make_meshes(e, many, self._rims)
+        try:
+            meshes, problems = make_meshes(e, many, self._rims)
+        except InputError as error:  # particles without order
+            meshes, problems = {}, [str(error)]
         holes = [problem for problem in problems if not problem.endswith(FOLDED)]
         if holes:
             print(f"melp-warp: notice: frame {frame} is drawn from its particles: {holes[0]}", file=sys.stderr)

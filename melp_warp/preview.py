@@ -355,15 +355,18 @@ def _develop(radiance: wp.array, samples: int, plain: bool) -> np.ndarray:
     rows, columns = radiance.shape
     response, over = wp.empty_like(radiance), wp.empty_like(radiance)
     surface.share(raster.respond, rows * columns, [radiance, plain], [response, over], device)
+    height, width = rows // samples, columns // samples
+    sigma = max(width, height) / 90.0
+    block = max(1, int(sigma / 3.0))
+    means = wp.empty((-(-height // block), -(-width // block)), dtype=wp.vec3, device=device)
+    if not plain:
+        surface.share(raster.average_blocks, means.size, [over, block * samples], [means], device)
+        means.assign(0.06 * _blurred(means.numpy(), sigma / block))
     weights = wp.array(_weights(samples), dtype=wp.float32, device=device)
-    picture, glare = (wp.empty((rows // samples, columns // samples), dtype=wp.vec3, device=device) for _ in range(2))
-    for source, target in ((response, picture), (over, glare)):
-        surface.share(raster.filter_samples, target.size, [source, weights, samples], [target], device)
-    if plain:
-        return _encode(picture.numpy(), 0.5)
-    height, width = picture.shape
-    glow = _glow(glare.numpy(), max(width, height) / 90.0)
-    return _encode(picture.numpy() + 0.06 * glow, _dither(width, height))
+    picture = wp.empty((height, width, 3), dtype=wp.uint8, device=device)
+    inputs = [response, weights, samples, means, float(block), plain]
+    surface.share(raster.develop, height * width, inputs, [picture], device)
+    return picture.numpy()
 
 
 @lru_cache(maxsize=8)
@@ -520,17 +523,6 @@ def _color_table(index: float, device: str) -> wp.array:
     return wp.array(table, dtype=wp.vec3, device=device)
 
 
-def _glow(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian blur of [h, w, 3] by `sigma` pixels, of means of blocks where it is wide."""
-    height, width = image.shape[:2]
-    block = max(1, int(sigma / 3.0))
-    padded = np.pad(image, ((0, -height % block), (0, -width % block), (0, 0)), mode="edge")
-    small = padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block, 3).mean(axis=(1, 3))
-    blurred = _blurred(small, sigma / block)
-    channels = [Image.fromarray(blurred[..., k]).resize(padded.shape[1::-1], Image.BILINEAR) for k in range(3)]
-    return np.stack([np.asarray(channel) for channel in channels], axis=-1)[:height, :width]
-
-
 def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
     """Gaussian blur of [h, w, 3] by `sigma` pixels."""
     reach = max(1, int(3.0 * sigma))
@@ -541,19 +533,6 @@ def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
         length = image.shape[axis]
         image = sum(w * padded.take(range(k, k + length), axis=axis) for k, w in enumerate(weights.astype(np.float32)))
     return image
-
-
-def _dither(width: int, height: int) -> np.ndarray:
-    """Fixed pattern [height, width, 1] in 0..1 (interleaved gradient noise): keeps dark gradients free of bands."""
-    x, y = np.meshgrid(np.arange(width), np.arange(height))
-    return ((52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1.0)) % 1.0)[..., None]
-
-
-def _encode(linear: np.ndarray, offset: float | np.ndarray) -> np.ndarray:
-    """Linear sRGB to sRGB bytes; `offset` is added before the fraction is cut, 0.5 to round."""
-    x = np.clip(linear, 0.0, 1.0)
-    curve = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-6) ** (1.0 / 2.4) - 0.055)
-    return (255.0 * curve + offset).clip(0.0, 255.0).astype(np.uint8)
 
 
 def save_image(image: np.ndarray, path: str | os.PathLike) -> None:

@@ -499,6 +499,16 @@ def draw(shot: Shot) -> list[Path]:
     return pictures.shoot(shot)
 
 
+def write_blender(folder: Path) -> Path:
+    """Put the script that opens a cache in Blender beside it; see `melp_warp.blender`."""
+    _start_warp()
+    from melp_warp.blender import write_script
+    from melp_warp.pictures import Cache
+
+    Cache(folder)
+    return write_script(folder)
+
+
 def mesh_cache(folder: Path, triangles: int | None = None) -> list[str]:
     """Put surface meshes into the frames of a cache, in place of those that are there.
 

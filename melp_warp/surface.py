@@ -289,6 +289,7 @@ def draw(
     Returns:
         [rows, columns] vec3.
     """
+    view.tile_columns = -(-view.columns // int(kr.TILE))
     radii = surface.radii()
     size = float(np.linalg.norm(np.ptp(surface.points, axis=0))) if len(surface.points) else 1.0
     look = _look(surface, view, environment, background, gain, films, size, target)

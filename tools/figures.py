@@ -11,19 +11,22 @@ import tempfile
 from pathlib import Path
 
 from melp_warp.cli import main as melp_warp
-from melp_warp.preview import Camera, contact_sheet, render, save_image
-from melp_warp.usd import list_frames, read_frame
+from melp_warp.pictures import Cache
+from melp_warp.preview import contact_sheet, render, save_image
 
 FIGURES = Path(__file__).parent.parent / "docs" / "figures"
 
 SHEETS = {
-    "giant_bubble": (["--set", "l_per_e=48", "e_count=2500", "--frames", "240"], (0, 20, 60, 120, 180, 240)),
+    "giant_bubble": (["--set", "l_per_e=32", "e_count=2000", "--frames", "240"], (0, 20, 60, 120, 180, 240)),
     "drainage": ([], (0, 5, 10, 20, 40, 150)),
     "equilibrium": (["--fps", "120", "--frames", "60"], (0, 1, 2, 4, 10, 60)),
     "taylor_vortices": ([], (0, 40, 80, 120, 160, 192)),
     "oscillating_bubble": ([], (0, 5, 10, 15, 20, 25)),
-    "double_bubble": (["--frames", "60"], (0, 8, 15, 30, 45, 60)),
-    "four_bubbles": ([], (0, 15, 40, 70, 90, 120)),
+    "double_bubble": (["--set", "e_count=1000", "--frames", "60"], (0, 8, 15, 30, 45, 60)),
+    "four_bubbles": (["--set", "e_count=1600", "l_per_e=4"], (0, 15, 40, 70, 90, 120)),
+    "quadruple_bubble": (["--set", "e_count=1600", "l_per_e=8"], (10, 30, 90)),
+    "cluster": (["--set", "e_count=2600", "l_per_e=4"], (0, 20, 60)),
+    "foam_mountain": (["--set", "e_count=2000", "bubbles=8"], (20, 50, 90)),
 }
 
 
@@ -32,13 +35,11 @@ def draw(name: str, size: int) -> None:
     options, wanted = SHEETS[name]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / name
-        if melp_warp(["run", name, "--out", str(out), *options]):
+        if melp_warp(["run", name, "--mesh", "--quiet", "--out", str(out), *options]):
             raise SystemExit(f"{name} failed")
-        there = list_frames(out)
-        numbers = [n for n in wanted if n in there]
-        frames = [read_frame(out, n) for n in numbers]
-        camera = Camera.fit(frames)
-        images = [render(frame, size, size, camera) for frame in frames]
+        cache = Cache(out)
+        camera = cache.camera()
+        images = [render(cache.film(n), size, size, camera) for n in wanted if n in cache.frames]
     FIGURES.mkdir(parents=True, exist_ok=True)
     path = FIGURES / f"{name}.png"
     save_image(contact_sheet(images, columns=3), path)

@@ -50,7 +50,7 @@ SHORT_TOOLS = {
     "figures.py": "--size 64",
     "kills.py": "--kills 1 --out out/one",
     "limits.py": "--only radius --random 1",
-    "mesh.py": "--largest 200",
+    "mesh.py": "--largest 200 --frames 0",
     "tradeoff.py": "--only marangoni --size 0.3 --points 1",
     "validate.py": "--only rest",
     "validate_foams.py": "",
@@ -193,7 +193,7 @@ def files(tmp_path, monkeypatch):
 @pytest.mark.parametrize("command", OWN, ids=of)
 def test_a_command_is_taken_as_it_stands(command, files, monkeypatch, capsys):
     """Options, keys, values and ranges are right and the scene is built; nothing is simulated."""
-    for work in ("run", "estimate", "trade", "draw"):
+    for work in ("run", "estimate", "trade", "draw", "write_blender"):
         monkeypatch.setattr(runner, work, lambda *_, **__: 0)
     arguments = own_arguments(command)
     try:

@@ -1,14 +1,17 @@
 """Preview pictures: colours, geometry and layers against closed forms."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from PIL import Image
 
-from melp_warp import optics
+from melp_warp import cli, optics
 from melp_warp.errors import InputError
 from melp_warp.frame import ParticleFrame
 from melp_warp.mesh import make_meshes, thin_out
 from melp_warp.mesh_validation import frame_of, problems_of, unsettled
+from melp_warp.pictures import Cache
 from melp_warp.preview import FORMATS, Camera, contact_sheet, render, save_image
 from melp_warp.shapes import Disc, Rectangle, Sphere
 from melp_warp.surface import Surface, borders
@@ -506,3 +509,17 @@ def test_a_camera_goes_around():
     camera = Camera((0.0, 0.1, 1.0), (0.0, 0.0, 0.0))
     assert camera.turned(0.5 * np.pi).eye == pytest.approx((1.0, 0.1, 0.0))
     assert camera.turned(2.0 * np.pi).eye == pytest.approx(camera.eye)
+
+
+@pytest.mark.slow
+def test_a_foam_at_rest_does_not_flicker(tmp_path):
+    """Pictures of the last frames of four bubbles that came to rest differ by less than 1 % of their brightness."""
+    folder = tmp_path / "run"
+    assert (
+        cli.main(["run", "quadruple_bubble", "--mesh", "--quiet", "--out", str(folder), "--set", "e_count=1600"]) == 0
+    )
+    cache = Cache(folder)
+    camera = cache.camera()
+    images = [render(cache.film(frame), 320, 320, camera).astype(float) for frame in cache.frames[-4:]]
+    for one, two in pairwise(images):
+        assert np.abs(one - two).mean() < 0.01 * one.mean()
