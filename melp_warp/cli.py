@@ -185,6 +185,8 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
         default="5min",
         help="write one every N frames, 30s or 5min, besides at start and end (default: 5min; 0: not between)",
     )
+    run.add_argument("--max-memory", metavar="SIZE", help="refuse a run that takes more, such as 4GB (default: all)")
+    run.add_argument("--max-disk", metavar="SIZE", help="refuse a cache that takes more (default: what is free)")
     run.add_argument("--preview", action="store_true", help="draw preview.png and contact.png at the end")
     run.add_argument("--quiet", action="store_true", help="print nothing but errors")
     run.add_argument("--no-budget", action="store_true", help="keep no energy budget")
@@ -330,6 +332,7 @@ def _run(options: argparse.Namespace) -> int:
     from melp_warp.quality import find_quality
     from melp_warp.registry import load_scene
     from melp_warp.resume import numbers_of, options_of
+    from melp_warp.room import Room, parse_size
 
     script = load_scene(options.scene)
     quality, given = find_quality(options.quality), script.parameters.parse(_settings(options))
@@ -365,6 +368,7 @@ def _run(options: argparse.Namespace) -> int:
         every=runner.Every.parse(options.checkpoint),
         overwrite=options.overwrite,
         start=start,
+        room=Room(parse_size("--max-memory", options.max_memory), parse_size("--max-disk", options.max_disk)),
         **writes,
     )
     if not options.quiet:

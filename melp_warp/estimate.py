@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.cluster import Cluster
+from melp_warp.room import disk_bytes, size_text
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
 from melp_warp.tables import columns
@@ -18,14 +20,14 @@ from melp_warp.tables import columns
 PARTICLES = 100_000
 """Scenes of more particles than this are measured at this size, and the costs taken in proportion."""
 
+FEWEST_E = 400
+"""E that are measured at least, however many L each has."""
+
 WARM_UP, FEWEST = 3, 4
 """Steps that are not timed, for kernels are loaded and recorded in them; fewest steps that are."""
 
 SECONDS = 2.0
 """Wall time after which no further step is taken."""
-
-FRAME_BYTES = 60
-"""On disk, a particle and frame: fourteen float32 and what the ids and flags are packed to."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class Estimate:
         disk: bytes of the cache.
         frames: number of frames after the first.
         measured: share of the particles that the steps were measured with; the rest is in proportion.
+        load: processes that ran or wanted to in the last minute, this one among them.
     """
 
     e_count: int
@@ -53,6 +56,7 @@ class Estimate:
     disk: float
     frames: int
     measured: float
+    load: float
 
     @property
     def seconds(self) -> float:
@@ -65,22 +69,14 @@ class Estimate:
         return columns(
             [
                 ("particles", f"{self.e_count:,} E, {self.l_count:,} L{scaled}"),
-                ("memory", f"{_size(self.memory)} in arrays"),
+                ("memory", f"{size_text(self.memory)} in arrays"),
                 ("a step", f"{1e3 * self.step_seconds:.3g} ms, of {self.dt:.3g} s"),
                 ("steps", f"{self.steps:,} for {self.frames:,} frames"),
                 ("whole run", f"{_duration(self.seconds)}, without writing and drawing"),
-                ("on disk", _size(self.disk)),
+                ("load", f"{self.load:.2g} processes on {os.cpu_count()} cores meanwhile, and taken to stay"),
+                ("on disk", size_text(self.disk)),
             ]
         )
-
-
-def _size(count: float) -> str:
-    """Bytes in words."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 1000.0:
-            return f"{count:.3g} {unit}"
-        count /= 1000.0
-    return f"{count:.3g} TB"
 
 
 def _duration(seconds: float) -> str:
@@ -140,7 +136,7 @@ def measure_cost(scene: Scene, device: str = "cpu", e_sets: int = 0, l_sets: int
         InputError: the scene or the device cannot be used.
         SimulationError: a step failed.
     """
-    fraction = min(1.0, PARTICLES / (scene.e_count * (1 + scene.l_per_e)))
+    fraction = min(1.0, max(PARTICLES / (scene.e_count * (1 + scene.l_per_e)), FEWEST_E / scene.e_count))
     simulation = Simulation(replace(scene, e_count=max(1, round(fraction * scene.e_count))), device)
     dt, step_seconds = _take_steps(simulation)
     share = fraction / (scene.shape.growth if isinstance(scene.shape, Cluster) else 1.0)
@@ -154,9 +150,10 @@ def measure_cost(scene: Scene, device: str = "cpu", e_sets: int = 0, l_sets: int
         step_seconds=step_seconds / share,
         dt=dt,
         steps=math.ceil(scene.frames / scene.fps / dt - 1e-6),
-        disk=FRAME_BYTES * (scene.frames + 1) * (e_sets * e_count + l_sets * l_count),
+        disk=disk_bytes(e_sets * e_count, l_sets * l_count, scene.frames + 1),
         frames=scene.frames,
         measured=share,
+        load=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
     )
 
 

@@ -34,6 +34,7 @@ from melp_warp.resume import (
     cut_back,
     find_start,
 )
+from melp_warp.room import ALL, Room, check_disk, check_memory, disk_bytes
 from melp_warp.scene import Scene
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ class Plan:
         every: when to write checkpoints.
         overwrite: whether `out` may hold a run, which is removed then.
         start: where the run goes on from: in its own folder as it was, or from another one with other numbers.
+        room: the most memory and disk that it may take.
     """
 
     scene: Scene
@@ -114,6 +116,7 @@ class Plan:
     every: Every = Every()
     overwrite: bool = False
     start: Start | None = None
+    room: Room = ALL
 
     @property
     def goes_on(self) -> bool:
@@ -140,6 +143,7 @@ def run(plan: Plan) -> int:
     if not plan.goes_on:
         check_folder(plan.out, plan.overwrite)
     _start_warp()
+    _check_room(plan)
     simulation = None
     try:
         with end_like_ctrl_c():
@@ -173,6 +177,24 @@ def _check_triangles(triangles: int | None) -> None:
     require(triangles is None or 1 <= triangles <= MOST_TRIANGLES, "--triangles", triangles, allowed)
 
 
+def _check_room(plan: Plan) -> None:
+    """Refuse at once what cannot fit."""
+    scene = plan.scene
+    check_memory(scene, plan.device, plan.room)
+    e_sets, l_sets = _sets_of(plan)
+    l_count = scene.e_count * scene.l_per_e
+    meshes = (plan.triangles or l_count or 2 * scene.e_count) if plan.mesh else 0
+    done = plan.start.frame - plan.first + 1 if plan.start else 0
+    need = disk_bytes(e_sets * scene.e_count, l_sets * l_count, scene.frames + 1 - done, meshes)
+    check_disk(plan.out, need, plan.room)
+
+
+def _sets_of(plan: Plan) -> tuple[int, int]:
+    """How often each frame stores the E and the L."""
+    with_l = plan.scene.l_per_e > 0 and plan.export != "e"
+    return int(not with_l) + int(plan.export in ("e", "both")), int(with_l)
+
+
 def start_from(folder: Path) -> Start:
     """The newest sound checkpoint of a folder, see `resume.find_start`.
 
@@ -193,9 +215,8 @@ def estimate(plan: Plan) -> Estimate:
     _start_warp()
     from melp_warp.estimate import measure_cost
 
-    with_l = plan.scene.l_per_e > 0 and plan.export != "e"
-    e_sets = int(not with_l) + int(plan.export in ("e", "both"))
-    return measure_cost(plan.scene, plan.device, e_sets, int(with_l))
+    _check_room(plan)
+    return measure_cost(plan.scene, plan.device, *_sets_of(plan))
 
 
 def trade(script: SceneScript, overrides: Mapping[str, Value], e_count: int, frames: int, out: Path | None) -> str:

@@ -228,7 +228,7 @@ def test_picked_frames_span_the_run():
         (["run"], ["NAME|PATH.py"]),
         (["run", "giant_buble"], ["unknown scene 'giant_buble'", "did you mean giant_bubble", "drainage"]),
         (["run", "missing.py"], ["unknown scene 'missing.py'", "no such file"]),
-        (["run", "drainage", "--device", "tpu"], ["--device", "cpu", "'tpu'"]),
+        (["run", "drainage", "--device", "tpu"], ["device", "cpu", "'tpu'"]),
         (["run", "drainage", "--set", "radios=1"], ["unknown key 'radios'", "melp-warp scenes NAME"]),
         (["run", "drainage", "--set", "radius=1"], ["unknown key 'radius'"]),
         (["run", "drainage", "--set", "width"], ["--set must be key=value", "'width'"]),
