@@ -7,7 +7,9 @@ from melp_warp import foam_validation as v
 from melp_warp.cluster import Bubble, Cluster, Merge, Pop, Wall
 from melp_warp.errors import InputError
 from melp_warp.material import Surroundings
+from melp_warp.measure import measure
 from melp_warp.numerics import Numerics
+from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
 from tests.helpers import fitted_order
@@ -67,6 +69,62 @@ def test_partition_bends_as_the_pressures_say():
         simulation.advance_frame()
     moved = simulation.state.e.x.numpy().mean(axis=0) - centre
     assert np.linalg.norm(moved) < 2e-3 * 20 / 240.0
+
+
+def size_ratio(ratio, e_small, frames):
+    """The scene of that name at its own step with `e_small` E on the small bubble; what is measured at the end."""
+    script = load_scene("size_ratio")
+    count = round(e_small * (1.0 + ratio**-2))
+    given = {"ratio": ratio, "e_count": count, "l_per_e": 0}
+    simulation = Simulation(script.build(script.parameters.values(given)))
+    for _ in range(frames):
+        simulation.advance_frame()
+    pair = measure(simulation.particles("e"), simulation.film.spacing).pairs[0]
+    error = float(np.abs(np.array(pair.angles) - 120.0).max())
+    bend = pair.partition.curvature / pair.expected - 1.0
+    print(f"ratio {ratio}, {e_small} E on the small one: angles off by {error:.2f} degrees, curvature {bend:+.1%}")
+    return error, bend
+
+
+def test_a_small_bubble_meets_a_large_one():
+    """R2 = 0.4 R1 with 320 E on the small one, at the scene's own step: angles within 1.5 degrees, curvature 4 %.
+
+    The scene stopped in frame 29 at this ratio, and in frames 3 to 7 at lower ones.
+    """
+    error, bend = size_ratio(0.4, 320, 25)
+    assert error < 1.5
+    assert abs(bend) < 0.04
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0])
+def test_unequal_bubbles(ratio):
+    """With 300 E on the small bubble: angles within 2.2 degrees, curvature within 5 % (of that of its cap for 1)."""
+    error, bend = size_ratio(ratio, 300, 40)
+    assert error < 2.2
+    assert abs(bend) < 0.05 or ratio == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.4, 0.6, 0.8])
+def test_unequal_bubbles_at_twice_the_e(ratio):
+    """With 600 E on the small bubble: angles within 1.5 degrees, curvature within 3 % of 1/R2."""
+    error, bend = size_ratio(ratio, 600, 40)
+    assert error < 1.5
+    assert abs(bend) * (1.0 - ratio) < 0.03
+
+
+@pytest.mark.slow
+def test_two_bubbles_of_230_e_stay_at_rest():
+    """`double_bubble` with 460 E at rest for 500 frames: it used to blow up in frame 412."""
+    script = load_scene("double_bubble")
+    simulation = Simulation(script.build(script.parameters.values({"e_count": 460, "l_per_e": 0})))
+    for _ in range(500):
+        simulation.advance_frame()
+    seen = simulation.diagnostics()
+    assert seen["regions"] == [0, 1]
+    fall = np.linalg.norm(simulation.state.motion.numpy().mean(axis=0))
+    assert seen["max_speed"] < fall + 0.3
 
 
 def test_static_balance_converges_to_plateau():
