@@ -18,15 +18,14 @@ ROUND = wp.constant(1.0e-3)
 @wp.kernel
 def weigh_near_e(
     x: wp.array(dtype=wp.vec3),
-    region: wp.array(dtype=wp.int32),
-    reach: wp.array(dtype=float),
     rows: Neighbors,
+    reach: float,
     # outputs
     near: wp.array(dtype=float),
 ):
-    """W of each pair within the reach of their region [regions], m: `near` [pairs], 1/m^2."""
+    """W of each pair within `reach` (m): `near` [pairs], 1/m^2."""
     i = rows.first + wp.tid()
-    weigh_row(i, x[i], x, rows, reach[region[i]], x.shape[0], near)
+    weigh_row(i, x[i], x, rows, reach, x.shape[0], near)
 
 
 @wp.kernel
@@ -40,7 +39,7 @@ def seek_normals_e(
     star: Neighbors,
     near: wp.array(dtype=float),
     rows: Neighbors,
-    reach: wp.array(dtype=float),
+    reach: float,
     bent: wp.array(dtype=float),
     share: wp.array(dtype=float),
     # outputs
@@ -64,7 +63,7 @@ def seek_normals_e(
         star: neighbours across the cell's edges.
         near: [pairs] W of each pair, 1/m^2.
         rows: E:E neighbours.
-        reach: [regions] of W, m.
+        reach: of W, m.
         bent: [regions] mean square turn of the normals from which they take up force.
         share: [1] how far l comes towards what it should be in this step, 0 to 1.
         sought: [n_e] l over the sum of weights, N m^2; in and out.
@@ -78,7 +77,7 @@ def seek_normals_e(
     if held == 0.0:
         sought[i] = (1.0 - share[0]) * sought[i]
         return
-    total = kernel_w(0.0, reach[region[i]])
+    total = kernel_w(0.0, reach)
     spread = total * wp.outer(n, n)
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
@@ -106,7 +105,7 @@ def gather_load_e(
     sought: wp.array(dtype=wp.vec3),
     near: wp.array(dtype=float),
     rows: Neighbors,
-    reach: wp.array(dtype=float),
+    reach: float,
     most: float,
     # outputs
     load: wp.array(dtype=float),
@@ -123,12 +122,12 @@ def gather_load_e(
         sought: [n_e] from `seek_normals_e`.
         near: [pairs] W of each pair, 1/m^2.
         rows: E:E neighbours.
-        reach: [regions] of W, m.
+        reach: of W, m.
         most: most that an E takes from its neighbours, N.
         load: [n_e] N.
     """
     i = rows.first + wp.tid()
-    found = kernel_w(0.0, reach[region[i]]) * sought[i] + sum_vectors(i, near, sought, rows, sought.shape[0])
+    found = kernel_w(0.0, reach) * sought[i] + sum_vectors(i, near, sought, rows, sought.shape[0])
     n = normal[i]
     passed = wp.clamp(wp.dot(found, n), -most, most)
     load[i] = wp.dot(force[i] + foot[i] + ahead[region[i]] * vector[i], n) + passed

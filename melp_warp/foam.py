@@ -42,8 +42,8 @@ BENT, CAP = 0.01, 2.5
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
 LEAST_REACH, REACH_SHARE = 2.25, 0.43
-"""Distance within which normals take up force along bent sheets: this share of the region's radius, at least so many
-spacings and at most the support."""
+"""Distance within which normals take up force along bent sheets: this share of the smallest bubble's radius, at least
+so many spacings and at most the support."""
 
 PATIENCE = 1.0
 """Time in which force along bent sheets is passed on, in that of a wave across a spacing."""
@@ -144,7 +144,7 @@ class FoamMembrane:
         self.start, self.frame, self.passed = (film.zeros(film.regions, wp.vec3) for _ in range(3))
         self.drag = AirDrag(film, state) if film.features.dragged else None
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
-        self.bent, self.reach = film.zeros(film.regions), film.zeros(film.regions)
+        self.bent, self.reach = film.zeros(film.regions), film.r
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
         self.taken = self.added
         self.whole = film.zeros(film.regions)
@@ -188,9 +188,8 @@ class FoamMembrane:
         volume = np.maximum(self.state.memory.volume.numpy(), 0.0)
         radius = np.maximum(np.cbrt(3.0 * volume / (4.0 * np.pi)), 1e-3 * film.spacing)
         # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.054 r^2
-        reach = np.minimum(np.maximum(LEAST_REACH * film.spacing, REACH_SHARE * radius), film.r)
-        self.reach.assign(reach)
-        self.bent.assign(np.maximum(BENT, CAP * 0.054 * (reach / radius) ** 2))
+        self.reach = min(max(LEAST_REACH * film.spacing, REACH_SHARE * float(radius.min())), film.r)
+        self.bent.assign(np.maximum(BENT, CAP * 0.054 * (self.reach / radius) ** 2))
         if film.features.air:
             self.added.assign(film_added_mass(film.surroundings.air_density, radius))
         inertia = film.material.areal_mass + float(self.added.numpy().mean())
@@ -382,7 +381,7 @@ class FoamMembrane:
         )
         ee, vector = self.lists.ee.rows, geometry.vector
         most = MOST * 0.5 * self.contact.cling * film.spacing
-        film.launch_e(kl.weigh_near_e, [e.x, e.region, self.reach, ee], [geometry.near])
+        film.launch_e(kl.weigh_near_e, [e.x, ee, self.reach], [geometry.near])
         film.launch_e(
             kl.seek_normals_e,
             [
