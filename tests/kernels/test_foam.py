@@ -115,8 +115,8 @@ def test_loads_have_the_net_force_of_contact(device):
     m.solve(s.prepare(1e-6))
     normal, region = e.normal.numpy().astype(np.float64), e.region.numpy()
     inertia = e.mass.numpy() + m.added.numpy()[region] * s.geometry.area.numpy()
-    back = np.sum(m._missing.numpy()[region] * normal, axis=1) * inertia
-    loads = (m._load.numpy() + back)[:, None] * normal
+    back = np.sum(m.missing.numpy()[region] * normal, axis=1) * inertia
+    loads = (m.load.numpy() + back)[:, None] * normal
     rest = m._rest.numpy().astype(np.float64)
     for g in range(2):
         net = rest[region == g].sum(axis=0)
@@ -249,7 +249,7 @@ def test_what_covers_a_sheet_twice_holds_it_once(device):
     for _ in range(60):
         s.step(1.0 / 480.0)
     x, m = s.state.e.x.numpy(), s.membrane
-    free, faced = m._free.numpy(), m._faced.numpy()
+    free, faced = m.free.numpy(), m._faced.numpy()
     partition = (faced == 1.0) & (x[:, 1] > 3.0 * film.spacing)
     floor = (x[:, 1] < 0.15 * film.spacing) & (faced == 0.0)
     assert partition.sum() > 20
