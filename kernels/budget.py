@@ -128,7 +128,6 @@ def open_step_chunks(
     density: float,
     kept: int,
     closed: int,
-    moving: int,
     first: wp.array(dtype=wp.int32),
     asked: wp.array(dtype=wp.int32),
     # outputs
@@ -160,7 +159,6 @@ def open_step_chunks(
         density: of the air that bubbles of a foam carry, kg/m^3; 0 without, and for a single film.
         kept: 1 in a foam whose E know their normal motion alone.
         closed: 1 where there is gas.
-        moving: 1 where the surface moves.
         first: see `part_range`.
         asked: [1] 1 where the energy of the surface is asked for.
         part: parts of the slots KINETIC to STARTED.
@@ -174,12 +172,13 @@ def open_step_chunks(
     surface = wp.float64(0.0)
     air = wp.float64(0.0)
     bent = wp.float64(0.0)
+    taken = added[g]
     for i in range(start, stop):
         v = u[i]
         before[i] = v
         liquid += kinetic(mass[i], v)
-        if moving == 1:
-            air += kinetic(added[g] * area[i], wp.dot(v, normal[i]) * normal[i])
+        if taken > 0.0:
+            air += kinetic(taken * area[i], wp.dot(v, normal[i]) * normal[i])
         if asked[0] == 1:
             a = wp.float64(area[i])
             sides = float(2.0)
@@ -396,6 +395,7 @@ def book_forces_chunks(
     gas: wp.array2d(dtype=wp.float64),
     p_atm: wp.float64,
     closed: int,
+    flowing: int,
     dt: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
@@ -434,6 +434,7 @@ def book_forces_chunks(
         gas: gas slots.
         p_atm: Pa.
         closed: 1 where there is gas.
+        flowing: 1 where liquid flows along the film.
         dt: [1] s.
         first: see `part_range`.
         part: parts of the slots HOLD to SHIFTS, ENDED and IMPULSE.
@@ -457,6 +458,7 @@ def book_forces_chunks(
     pushed = wp.float64(0.0)
     ended = wp.float64(0.0)
     impulse = wp.vec3d()
+    total = wp.vec3()
     for i in range(start, stop):
         n = normal[i]
         m = wp.float64(mass[i])
@@ -482,29 +484,32 @@ def book_forces_chunks(
                 lifted += wp.float64(lift) * moved * h
                 outside += lift * n
         ended += wp.float64(0.5) * across * end * end
-        along = tangential(before[i], n)
-        last = tangential(u[i], n)
-        change = last - along
-        ahead = along + theta[0] * change
-        ended += kinetic(mass[i], last)
-        flow += (share - wp.float64(0.5)) * m * wp.float64(wp.length_sq(change))
-        against = drag * area[i] * ahead
-        if wind:
-            against -= drag * area[i] * tangential(wind[g], n)
-        slowed += wp.float64(wp.dot(against, ahead)) * h
         other = mass[i] * (body[i] - gravity)
-        pushed += (wp.float64(wp.dot(other, ahead)) + wp.float64(wp.dot(other, n)) * moved) * h
-        outside -= against
-        for k in range(3):
-            impulse[k] += wp.float64(outside[k]) * h
-        if gamma_ahead:
-            rise = -wp.float64(gamma[i] * dilation[i]) * h
-            ahead_of = wp.float64(gamma_ahead[i] - gamma[i])
-            spread += wp.float64(2.0 * slope * area[i] / gamma[i]) * (ahead_of - wp.float64(0.5) * rise) * rise
-        if diffused:
-            still = tangential(diffused[i], n)
-            viscous += m * wp.float64(wp.dot(along - still, still)) / share
-            split += m * wp.float64(wp.dot(along - still, ahead - still)) / share
+        pushed += wp.float64(wp.dot(other, n)) * moved * h
+        if flowing == 1:
+            along = tangential(before[i], n)
+            last = tangential(u[i], n)
+            change = last - along
+            ahead = along + theta[0] * change
+            ended += kinetic(mass[i], last)
+            flow += (share - wp.float64(0.5)) * m * wp.float64(wp.length_sq(change))
+            against = drag * area[i] * ahead
+            if wind:
+                against -= drag * area[i] * tangential(wind[g], n)
+            slowed += wp.float64(wp.dot(against, ahead)) * h
+            pushed += wp.float64(wp.dot(other, ahead)) * h
+            outside -= against
+            if gamma_ahead:
+                rise = -wp.float64(gamma[i] * dilation[i]) * h
+                ahead_of = wp.float64(gamma_ahead[i] - gamma[i])
+                spread += wp.float64(2.0 * slope * area[i] / gamma[i]) * (ahead_of - wp.float64(0.5) * rise) * rise
+            if diffused:
+                still = tangential(diffused[i], n)
+                viscous += m * wp.float64(wp.dot(along - still, still)) / share
+                split += m * wp.float64(wp.dot(along - still, ahead - still)) / share
+        total += outside
+    for k in range(3):
+        impulse[k] = wp.float64(total[k]) * h
     part[c, HOLD] = hold
     part[c, MEMBRANE] = membrane
     part[c, BENDING] = bend

@@ -177,7 +177,7 @@ class Budget:
                 *(e.mass, e.surfactant, s.geometry.area, s.geometry.kappa, s.fields.gamma, self._ruffle),
                 *(cover, self._pressed, self.state.motion, e.u, e.normal),
                 *(film.tension, film.slope, film.material.rt, self._air(), self.state.gas, film.surroundings.pressure),
-                *(*self._carried(), int(film.features.closed), int(film.features.moving), film.first),
+                *(*self._carried(), int(film.features.closed), film.first),
                 self._asked,
             ],
             [self.part, self.before],
@@ -205,7 +205,7 @@ class Budget:
                 *(film.surroundings.drag, flow.wind if flow else None, film.surroundings.damping),
                 membrane.drift if f.foam else None,
                 flow.theta if flow else self._whole,
-                *(self.state.gas, film.surroundings.pressure, int(f.closed), s.dt.array, film.first),
+                *(self.state.gas, film.surroundings.pressure, int(f.closed), int(f.lagrangian), s.dt.array, film.first),
             ],
             [self.part],
         )
@@ -366,9 +366,15 @@ class Budget:
         return _sums(step)
 
 
+_SIGNS = np.zeros((len(TERMS), kb.SLOTS))
+for _row, _term in enumerate(TERMS):
+    for _slot, _sign in _term.slots:
+        _SIGNS[_row, _slot] = _sign
+
+
 def _sums(slots: np.ndarray) -> dict[str, float]:
     """Terms from the sums of the slots, J."""
-    return {t.name: float(sum(sign * slots[slot] for slot, sign in t.slots)) for t in TERMS}
+    return dict(zip((t.name for t in TERMS), (_SIGNS @ slots).tolist(), strict=True))
 
 
 def _of(kind: str) -> list[str]:
@@ -458,6 +464,7 @@ class Ledger:
         self.rest = sum(self.stores.values()) - sum(self.start.values()) + _spent(self.flows)
         self.worst = max(self.worst, abs(self.rest))
         spent = sum(self.flows[name] for kind in (DISSIPATION, LOSS) for name in _of(kind))
+        spent -= self.flows["events"]  # films that pop take along far more than ever moves
         motion = self.stores["kinetic"] + self.stores["air"]
         self.moved = max(self.moved, motion + max(spent, 0.0))
         self.balance = {
