@@ -367,6 +367,18 @@ def lose_membrane_e(
 
 
 @wp.kernel
+def halve_dilation_e(
+    ahead: wp.array(dtype=float),
+    theta: wp.array(dtype=float),
+    # outputs
+    dilation: wp.array(dtype=float),
+):
+    """div_s u half a step on, from that at its start, put in, and `ahead`, that after theta of it. [n_e], 1/s."""
+    i = wp.tid()
+    dilation[i] = dilation[i] + 0.5 / theta[0] * (ahead[i] - dilation[i])
+
+
+@wp.kernel
 def book_forces_chunks(
     mass: wp.array(dtype=float),
     area: wp.array(dtype=float),
@@ -396,6 +408,7 @@ def book_forces_chunks(
     p_atm: wp.float64,
     closed: int,
     flowing: int,
+    midway: int,
     dt: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
@@ -435,6 +448,7 @@ def book_forces_chunks(
         p_atm: Pa.
         closed: 1 where there is gas.
         flowing: 1 where liquid flows along the film.
+        midway: 1 where L move with the velocity half a step on, whatever theta.
         dt: [1] s.
         first: see `part_range`.
         part: parts of the slots HOLD to SHIFTS, ENDED and IMPULSE.
@@ -491,13 +505,16 @@ def book_forces_chunks(
             last = tangential(u[i], n)
             change = last - along
             ahead = along + theta[0] * change
+            path = ahead
+            if midway == 1:
+                path = along + 0.5 * change
             ended += kinetic(mass[i], last)
-            flow += (share - wp.float64(0.5)) * m * wp.float64(wp.length_sq(change))
+            flow += m * wp.float64(wp.dot(change, path - along - 0.5 * change))
             against = drag * area[i] * ahead
             if wind:
                 against -= drag * area[i] * tangential(wind[g], n)
-            slowed += wp.float64(wp.dot(against, ahead)) * h
-            pushed += wp.float64(wp.dot(other, ahead)) * h
+            slowed += wp.float64(wp.dot(against, path)) * h
+            pushed += wp.float64(wp.dot(other, path)) * h
             outside -= against
             if gamma_ahead:
                 rise = -wp.float64(gamma[i] * dilation[i]) * h

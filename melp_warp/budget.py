@@ -16,6 +16,7 @@ import warp as wp
 
 from melp_warp.film import Film
 from melp_warp.kernels import budget as kb
+from melp_warp.kernels import surfactant as ks
 from melp_warp.kernels.boundary import vec7d
 from melp_warp.launch import copy, launch
 from melp_warp.linear import RationalLaplacian
@@ -150,6 +151,7 @@ class Budget:
             self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
+        self._halfway = film.zeros(film.n_e) if f.circulation else None
         self._ruffle = film.zeros(film.n_e) if f.lagrangian and f.marangoni else None
         self._pressed, self._stretched, self._touched = (
             (film.zeros(film.n_e) for _ in range(3)) if f.foam else 3 * (None,)
@@ -200,12 +202,20 @@ class Budget:
                 *(self._air(), membrane.taken if f.moving else None, self._bending),
                 membrane.rigid if held and not f.foam else None,
                 *(s.fields.gamma, flow.solver.x if flow and flow.solver else None),
-                *(flow.dilation if flow else None, film.slope),
+                *(self._dilation(), film.slope),
                 *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.gravity),
                 *(film.surroundings.drag, flow.wind if flow else None, film.surroundings.damping),
                 membrane.drift if f.foam else None,
                 flow.theta if flow else self._whole,
-                *(self.state.gas, film.surroundings.pressure, int(f.closed), int(f.lagrangian), s.dt.array, film.first),
+                *(
+                    self.state.gas,
+                    film.surroundings.pressure,
+                    int(f.closed),
+                    int(f.lagrangian),
+                    int(f.circulation),
+                    s.dt.array,
+                    film.first,
+                ),
             ],
             [self.part],
         )
@@ -213,6 +223,16 @@ class Budget:
             self._book_foam()
         if f.dragged:
             film.launch_regions(kb.book_whole_r, [membrane.drag.force, *self._path(), s.dt.array], [self.part])
+
+    def _dilation(self) -> wp.array | None:
+        """div_s u of the velocity that L move with; None without them."""
+        flow, s = self._stages.tangential, self._stages
+        if self._halfway is None:
+            return flow.dilation if flow else None
+        film = self.film
+        film.launch_e(ks.dilation_e, [flow.before, s.lists.ee.rows, s.geometry.gradient], [self._halfway])
+        film.launch_e(kb.halve_dilation_e, [flow.dilation, flow.theta], [self._halfway])
+        return self._halfway
 
     def _path(self) -> list:
         """Velocities as a whole that the films move at in a step: two and the share of the way between them."""

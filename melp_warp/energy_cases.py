@@ -65,7 +65,6 @@ class Found:
 CASES = (
     EnergyCase("oscillating_bubble", 300, {"e_count": 1000}),
     EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "air": "added_mass"}),
-    EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "l_per_e": 4}),
     EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4}),
     EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4, "air": "none"}),
     EnergyCase("drainage", 150, {"e_count": 400, "l_per_e": 8}),
