@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -20,23 +21,18 @@ class EnergyCase:
         scene: its name.
         frames: how many are enough to see where its energy goes.
         keys: keys that are not as the scene has them; `e_count` among them.
-        foam: whether it is one: docs/energy.md says what is not known of foams.
+        most: largest rest over what moves that it keeps to; infinite where docs/energy.md says why there is none.
     """
 
     scene: str
     frames: int
     keys: Mapping[str, Value]
-    foam: bool = False
+    most: float = math.inf
 
     @property
     def label(self) -> str:
         """The scene with what is not its default."""
-        return " ".join(
-            [
-                self.scene,
-                *(f"{key}={value:g}" if key != "air" else f"{key}={value}" for key, value in self.keys.items()),
-            ]
-        )
+        return " ".join([self.scene, *(f"{key}={value}" for key, value in self.keys.items())])
 
 
 @dataclass(frozen=True)
@@ -63,20 +59,22 @@ class Found:
 
 
 CASES = (
-    EnergyCase("oscillating_bubble", 300, {"e_count": 1000}),
-    EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "air": "added_mass"}),
-    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4}),
-    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4, "air": "none"}),
-    EnergyCase("drainage", 150, {"e_count": 400, "l_per_e": 8}),
-    EnergyCase("equilibrium", 150, {"e_count": 400, "l_per_e": 8}),
+    EnergyCase("oscillating_bubble", 300, {"e_count": 1000}, 0.01),
+    EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "air": "added_mass"}, 0.07),
+    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4}, 0.02),
+    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4, "air": "none"}, 0.07),
+    EnergyCase("drainage", 150, {"e_count": 400, "l_per_e": 8}, 0.01),
+    EnergyCase("equilibrium", 150, {"e_count": 400, "l_per_e": 8}, 0.01),
     EnergyCase("taylor_vortices", 192, {"e_count": 900, "l_per_e": 8}),
-    EnergyCase("double_bubble", 60, {"e_count": 400, "l_per_e": 4}, foam=True),
-    EnergyCase("size_ratio", 60, {"e_count": 450, "l_per_e": 4}, foam=True),
-    EnergyCase("triple_bubble", 60, {"e_count": 600, "l_per_e": 4}, foam=True),
-    EnergyCase("quadruple_bubble", 60, {"e_count": 800, "l_per_e": 4}, foam=True),
-    EnergyCase("four_bubbles", 120, {"e_count": 800, "l_per_e": 4}, foam=True),
-    EnergyCase("cluster", 30, {"e_count": 2200, "l_per_e": 2}, foam=True),
-    EnergyCase("foam_mountain", 30, {"e_count": 1000}, foam=True),
+    EnergyCase("leapfrog", 48, {"e_count": 900, "l_per_e": 8}),
+    EnergyCase("turbulent_film", 48, {"e_count": 900, "l_per_e": 8}),
+    EnergyCase("double_bubble", 60, {"e_count": 400, "l_per_e": 4}),
+    EnergyCase("size_ratio", 60, {"e_count": 450, "l_per_e": 4}),
+    EnergyCase("triple_bubble", 60, {"e_count": 600, "l_per_e": 4}),
+    EnergyCase("quadruple_bubble", 60, {"e_count": 800, "l_per_e": 4}),
+    EnergyCase("four_bubbles", 120, {"e_count": 800, "l_per_e": 4}),
+    EnergyCase("cluster", 30, {"e_count": 2200, "l_per_e": 2}),
+    EnergyCase("foam_mountain", 30, {"e_count": 1000}),
 )
 """Every scene; single films besides with what is not their default."""
 

@@ -8,6 +8,7 @@ import pytest
 from melp_warp import validation as v
 from melp_warp.cli import main
 from melp_warp.cluster import Bubble, Cluster
+from melp_warp.energy_cases import CASES, run_case
 from melp_warp.material import Material, Surroundings
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rectangle, Sphere, displaced_sphere
@@ -250,3 +251,13 @@ def test_what_dampens_a_creeping_film_is_accounted_for():
     ledger = simulation.ledger
     assert ledger.flows["drag"] > 0.2 * ledger.moved
     assert ledger.share < 0.004
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", (1.0, 2.0, 4.0))
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.label)
+def test_every_scene_keeps_account_for_long(case, scale):
+    """2,000 frames of every scene at three resolutions: they go on, and the rest keeps to what docs/energy.md says."""
+    found = run_case(case, scale, 2000)
+    assert (found.frames, found.stopped) == (2000, "")
+    assert found.share <= case.most
