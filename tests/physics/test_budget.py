@@ -10,6 +10,7 @@ from melp_warp.cli import main
 from melp_warp.cluster import Bubble, Cluster
 from melp_warp.energy_cases import CASES, run_case
 from melp_warp.material import Material, Surroundings
+from melp_warp.registry import scene_names
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rectangle, Sphere, displaced_sphere
 from melp_warp.simulation import Simulation
@@ -251,6 +252,11 @@ def test_what_dampens_a_creeping_film_is_accounted_for():
     ledger = simulation.ledger
     assert ledger.flows["drag"] > 0.2 * ledger.moved
     assert ledger.share < 0.004
+
+
+def test_every_scene_has_a_case():
+    """What docs/energy.md has a row of."""
+    assert {case.scene for case in CASES} == set(scene_names())
 
 
 @pytest.mark.slow
