@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from melp_warp.blender import SCRIPT, TABLES
 from melp_warp.errors import InputError, require
 from melp_warp.files import is_systems, replacing
 from melp_warp.parameters import Value
@@ -21,7 +22,7 @@ OLDER, NEWER = "checkpoint.old.npz", "checkpoint.new.npz"
 CONTACT = "contact.png"
 PICTURES = {"preview.png", CONTACT, "budget.png"}
 
-OURS = {ROOT, MANIFEST, LOOK, STAGE, FRAMES, LOG, CHECKPOINT, OLDER, NEWER, *PICTURES}
+OURS = {ROOT, MANIFEST, LOOK, STAGE, SCRIPT, TABLES, FRAMES, LOG, CHECKPOINT, OLDER, NEWER, *PICTURES}
 """What a run, and what draws it, writes into its folder."""
 
 _LEFTOVER = re.compile(r"\..+\.tmp\.[a-z]+")
