@@ -478,6 +478,7 @@ def test_scenes_lists_all(capsys):
     assert cli.main(["scenes"]) == 0
     listed = capsys.readouterr().out.splitlines()
     films = ["drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices"]
+    films += ["deforming_rectangle_2m", "giant_bubble_vortices", "leapfrog", "stirred_disc", "turbulent_film"]
     foams = ["cluster", "double_bubble", "foam_mountain", "four_bubbles", "quadruple_bubble"]
     foams += ["size_ratio", "triple_bubble"]
     assert [line.split()[0] for line in listed] == sorted(films + foams)
@@ -617,7 +618,7 @@ def scripts():
 
 
 def test_scene_files_are_short():
-    assert len(scripts()) == 12
+    assert len(scripts()) == 17
     for path in scripts():
         assert len(path.read_text().splitlines()) < 100, path.name
 
