@@ -80,13 +80,22 @@ class Start:
             "line": dict,
             "empty_from": int | None,
         }
-        right = set(run) == set(kinds) and all(isinstance(run[name], kind) for name, kind in kinds.items())
+        right = isinstance(run, dict) and set(run) == set(kinds)
+        right = right and all(isinstance(run[name], kind) for name, kind in kinds.items()) and _is_plain(run["line"])
         if not right or set(run["options"]) != set(OPTIONS) or run["options"]["export"] not in (None, "l", "e", "both"):
             raise InputError(f"checkpoint {path} was not written by a run of the command line")
         for name, kind in OPTIONS.items():
             require(isinstance(run["options"][name], kind), f"{name} in {path}", run["options"][name], "ours")
         require(0 <= run["options"]["first"] <= run["frame"], f"frame in {path}", run["frame"], "one of the run's")
         return cls(path, path.parent, **run)
+
+
+def _is_plain(line: dict) -> bool:
+    """Whether a line of the log is one that JSON can say."""
+    try:
+        return bool(json.dumps(line, allow_nan=False))
+    except ValueError:
+        return False
 
 
 def find_start(folder: Path) -> Start:

@@ -1,6 +1,7 @@
 """Runs that end before their time go on as if nothing had been."""
 
 import json
+import math
 import os
 import random
 import shutil
@@ -14,6 +15,7 @@ import pytest
 
 from melp_warp import cli, resume, runner
 from melp_warp.check import check_cache
+from melp_warp.errors import InputError
 from melp_warp.files import append
 from melp_warp.interrupt import end_like_ctrl_c, finish_first, let_through
 from melp_warp.simulation import Simulation
@@ -373,6 +375,15 @@ def test_what_a_checkpoint_says_of_its_run_is_checked(film, tmp_path):
         "empty_from": None,
     }
     assert resume.Start.of(tmp_path / "c.npz", good).written
-    for change in ({"frame": "6"}, {"options": {}}, {"line": 3}, {"extra": 1}, {"frame": -1}):
-        with pytest.raises(Exception, match="npz"):
+    for change in (
+        {"frame": "6"},
+        {"options": {}},
+        {"line": 3},
+        {"extra": 1},
+        {"frame": -1},
+        {"line": {"a": math.nan}},
+    ):
+        with pytest.raises(InputError, match="npz"):
             resume.Start.of(tmp_path / "c.npz", good | change)
+    with pytest.raises(InputError, match="was not written by a run"):
+        resume.Start.of(tmp_path / "c.npz", 7)
