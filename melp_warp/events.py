@@ -138,8 +138,6 @@ class Events:
                 s = self.cluster.sample_bubble(label, film.spacing**2 / count, offset)
                 eta, mass, amount = liquid(scene, s.points, s.area, np.full(len(s.points), label))
                 velocity = np.broadcast_to(np.array(bubble.velocity), s.points.shape)
-                if scene.l_per_e == 0:
-                    velocity = normal_part(velocity, s.normals)
                 particles[kind] = {
                     "x": s.points - simulation.state.origin,
                     "normal": s.normals,

@@ -463,8 +463,6 @@ def _set_velocity(scene: Scene, stepper: Stepper) -> None:
         u[: film.n_e] = _field(scene.velocity, points, 0.0, "velocity", 3)
     for k, bubble in _bubbles(scene):
         u[state.e.region.numpy() == k] += bubble.velocity
-    if film.features.moving and state.l is None and not film.features.single:
-        u = normal_part(u, state.e.normal.numpy())
     state.e.u.assign(u)
     if stepper.membrane is not None:
         stepper.membrane.start_motion()
