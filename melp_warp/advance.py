@@ -20,11 +20,8 @@ SHIFT_TOLERANCE = 0.05
 SHIFT_ITERATIONS = 2.0
 """Most iterations of the pseudo-pressure solve over the square root of the number of E: it takes 0.75 of that."""
 
-SHIFT_LIMIT = 0.4
+SHIFT_LIMIT = 1.0
 """Largest shift of an E in one redistribution, in spacings: a fine film that is stretched over a length needs many."""
-
-START_LIMIT = 1.0
-"""The same at the start, where E are put back onto the shape after each shift."""
 
 START_SPREAD = 0.02
 """Spread of E density from which on they are evened out at the start, where it costs the film nothing."""
@@ -87,13 +84,13 @@ class Redistribution:
         The geometry is that of the present positions. `u_mid` [n_e], m/s, is carried along as the velocities are.
         """
         numerics = self.film.numerics
-        self._shift(u_mid, numerics.redistribution, numerics.spread, SHIFT_LIMIT)
+        self._shift(u_mid, numerics.redistribution, numerics.spread)
 
     def even_out(self) -> None:
         """Shift E at full strength: for a film at the start, whose shape is known."""
-        self._shift(self._u_mid, 1.0, START_SPREAD, START_LIMIT)
+        self._shift(self._u_mid, 1.0, START_SPREAD)
 
-    def _shift(self, u_mid: wp.array, strength: float, threshold: float, limit: float) -> None:
+    def _shift(self, u_mid: wp.array, strength: float, threshold: float) -> None:
         film, e, geometry, rows = self.film, self.state.e, self.geometry, self.lists.ee.rows
         film.launch_parts(kr.spread_chunks, [geometry.density, film.first], [self._part])
         film.launch_regions(kr.summarize_spread_r, [self._part, threshold], [self.spread])
@@ -103,7 +100,7 @@ class Redistribution:
             kr.shift_e,
             [
                 *(self.solver.x, e.x, e.region, self.spread, e.u, u_mid, e.normal, rows, geometry.gradient, film.r),
-                *(strength, film.spacing, limit * film.spacing),
+                *(strength, film.spacing, SHIFT_LIMIT * film.spacing),
             ],
             [self._x, self._u, self._u_mid],
         )

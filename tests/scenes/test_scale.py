@@ -1,0 +1,54 @@
+"""Default scenes at 4 and 16 times their E, slow: they run for 60 frames, with even E, and keep what is conserved."""
+
+import math
+
+import pytest
+
+from melp_warp.registry import load_scene
+from melp_warp.simulation import Simulation
+
+SCENES = (
+    "giant_bubble",
+    "oscillating_bubble",
+    "drainage",
+    "equilibrium",
+    "taylor_vortices",
+    "double_bubble",
+    "size_ratio",
+    "triple_bubble",
+    "quadruple_bubble",
+    "four_bubbles",
+    "cluster",
+    "foam_mountain",
+)
+EVEN = 0.3
+"""Largest spread of the E density, (max - min)/mean."""
+
+
+def run(name: str, factor: int, frames: int = 60) -> dict:
+    """Run a scene with `factor` times its E and one L an E, where it has L; the worst of what was seen."""
+    script = load_scene(name)
+    usual = script.parameters.defaults
+    given = {"e_count": factor * usual["e_count"], "l_per_e": min(1, usual["l_per_e"])}
+    simulation = Simulation(script.build(script.parameters.values(given)))
+    start = simulation.diagnostics()
+    spread = 0.0
+    for _ in range(frames):
+        simulation.advance_frame()
+        seen = simulation.diagnostics()
+        spread = max(spread, seen["e_spread"])
+    mass = seen["mass"] + seen.get("border_mass", 0.0) + seen.get("spilled", 0.0)
+    found = {"spread": spread, "mass": abs(mass / start["mass"] - 1.0), "kinetic": seen["kinetic_energy"]}
+    print(f"{name} x {factor}: {seen['e_count']} E, {', '.join(f'{k} {v:.3g}' for k, v in found.items())}")
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [4, 16])
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_scale(name, factor):
+    """Finite, E even within 0.3, mass to 1e-5 where no bubble comes."""
+    found = run(name, factor)
+    assert math.isfinite(found["kinetic"])
+    assert found["spread"] < EVEN
+    assert found["mass"] < 1e-5 or name == "foam_mountain"
