@@ -21,8 +21,8 @@ SHIFT_ITERATIONS = 2.0
 """Most iterations of the pseudo-pressure solve over the square root of the number of E: it takes 0.75 of that."""
 
 SHIFT_LIMIT, SHIFT_SHARE = 1.0, 0.02
-"""Largest shift of an E in one redistribution, in spacings, and in the radius of a sphere of the film's size: a film that
-is stretched over a length needs the more spacings the finer it is."""
+"""Largest shift of an E in one redistribution, in spacings, and in the radius of a sphere of the film's size: what a film
+is stretched by over a length is more spacings the finer it is."""
 
 START_SPREAD = 0.02
 """Spread of E density from which on they are evened out at the start, where it costs the film nothing."""

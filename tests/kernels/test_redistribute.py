@@ -53,7 +53,7 @@ def test_crowded_sphere_is_evened_out(device):
 
 
 def test_shifted_points_stay_on_the_surface(device):
-    """One application leaves the sphere by O(dx^3): a shift of up to dx along a plane and curvature right to O(dx^2)."""
+    """One application leaves the sphere by O(dx^3): a shift up to dx along a plane and curvature right to O(dx^2)."""
     spacings, errors = [], []
     for count in (500, 1000, 2000, 4000):
         film, s = clustered(count, device)
