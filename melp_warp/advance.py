@@ -21,8 +21,8 @@ SHIFT_ITERATIONS = 2.0
 """Most iterations of the pseudo-pressure solve over the square root of the number of E: it takes 0.75 of that."""
 
 SHIFT_LIMIT, SHIFT_SHARE = 1.0, 0.02
-"""Largest shift of an E in one redistribution, in spacings, and in the radius of a sphere of the film's size: what a film
-is stretched by over a length is more spacings the finer it is."""
+"""Largest shift of an E in one redistribution, in spacings, and in the radius of a sphere of the film's size: what a
+film is stretched by over a length is more spacings the finer it is."""
 
 START_SPREAD = 0.02
 """Spread of E density from which on they are evened out at the start, where it costs the film nothing."""
@@ -87,13 +87,13 @@ class Redistribution:
         The geometry is that of the present positions. `u_mid` [n_e], m/s, is carried along as the velocities are.
         """
         numerics = self.film.numerics
-        self._shift(u_mid, numerics.redistribution, numerics.spread, self._limit)
+        self._shift(u_mid, numerics.redistribution, numerics.spread)
 
     def even_out(self) -> None:
         """Shift E at full strength: for a film at the start, whose shape is known."""
-        self._shift(self._u_mid, 1.0, START_SPREAD, SHIFT_LIMIT * self.film.spacing)
+        self._shift(self._u_mid, 1.0, START_SPREAD)
 
-    def _shift(self, u_mid: wp.array, strength: float, threshold: float, limit: float) -> None:
+    def _shift(self, u_mid: wp.array, strength: float, threshold: float) -> None:
         film, e, geometry, rows = self.film, self.state.e, self.geometry, self.lists.ee.rows
         film.launch_parts(kr.spread_chunks, [geometry.density, film.first], [self._part])
         film.launch_regions(kr.summarize_spread_r, [self._part, threshold], [self.spread])
@@ -103,7 +103,7 @@ class Redistribution:
             kr.shift_e,
             [
                 *(self.solver.x, e.x, e.region, self.spread, e.u, u_mid, e.normal, rows, geometry.gradient, film.r),
-                *(strength, film.spacing, limit),
+                *(strength, film.spacing, self._limit),
             ],
             [self._x, self._u, self._u_mid],
         )
