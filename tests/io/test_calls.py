@@ -82,9 +82,9 @@ def said(code, out, err, arguments):
     assert "Traceback" not in out + err, arguments
     assert "a fault of melp-warp" not in err, (arguments, err)
     lines = err.splitlines()
-    assert len(lines) <= 2 and all(line.startswith(("melp-warp: error: ", "melp-warp: warning: ")) for line in lines), (
-        err
-    )
+    assert len(lines) <= 2 and all(
+        line.startswith(("melp-warp: error: ", "melp-warp: warning: ", "melp-warp: notice: ")) for line in lines
+    ), err
     assert code == 0 or lines or (code == 1 and out), (arguments, out, err)
     assert len(err) < 20_000, arguments
 
