@@ -27,6 +27,12 @@ from melp_warp.errors import require
 VARIABLE = "MELP_WARP_PRECISION"
 """Environment variable: 32, the default, or 64. Read by `melp_warp/__init__.py`."""
 
+PICTURES = (
+    *("melp_warp.kernels.color", "melp_warp.kernels.raster", "melp_warp.kernels.render"),
+    *("melp_warp.optics", "melp_warp.preview", "melp_warp.surface"),
+)
+"""Modules that stay as they are: they draw, and Warp's meshes hold float32 alone."""
+
 _TYPES = re.compile(r"(vec[234]|mat22|mat33|mat44|quat|transform)f?")
 _RANDOM = {"randf", "randn"}
 _COMPILED = {"kernel", "func", "func_native", "struct"}
@@ -78,7 +84,7 @@ class _Finder:
     """Finds modules of the package where the others do, and has them loaded by `_Loader`."""
 
     def find_spec(self, name: str, path=None, target=None) -> ModuleSpec | None:
-        if not name.startswith("melp_warp."):
+        if not name.startswith("melp_warp.") or name in PICTURES:
             return None
         found = (finder.find_spec(name, path, target) for finder in sys.meta_path if finder is not self)
         spec = next((spec for spec in found if spec is not None), None)
