@@ -141,7 +141,8 @@ def _check_ledger(stored: object, features: Features) -> Ledger | None:
         _check_terms(name, stored[name], stores, none=True)
     for name in ("flows", "past"):
         _check_terms(name, stored[name], flows)
-    _check_terms("weighed", stored["weighed"], {"gravity", *(["air"] if features.air_waves else [])}, none=True)
+    air = isinstance(stored["weighed"], dict) and "air" in stored["weighed"]  # another scheme may have had none
+    _check_terms("weighed", stored["weighed"], {"gravity", *(["air"] if air else [])}, none=True)
     balance = stored["balance"]
     require(isinstance(balance, dict), "balance", balance, "numbers by name")
     if balance:
