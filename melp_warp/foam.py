@@ -43,7 +43,7 @@ BENT, CAP = 0.01, 2.5
 
 LEAST_REACH, REACH_SHARE = 2.25, 0.43
 """Distance within which normals take up force along bent sheets: this share of the smallest bubble's radius, at least
-so many spacings and at most the support."""
+so many spacings and at most the support, which it is where there are walls."""
 
 PATIENCE = 1.0
 """Time in which force along bent sheets is passed on, in that of a wave across a spacing."""
@@ -188,7 +188,8 @@ class FoamMembrane:
         volume = np.maximum(self.state.memory.volume.numpy(), 0.0)
         radius = np.maximum(np.cbrt(3.0 * volume / (4.0 * np.pi)), 1e-3 * film.spacing)
         # a point at distance d has a normal turned by d/R; K's variance along an axis is 0.054 r^2
-        self.reach = min(max(LEAST_REACH * film.spacing, REACH_SHARE * float(radius.min())), film.r)
+        if not film.walls:  # the corner along a wall takes up force within the whole support
+            self.reach = min(max(LEAST_REACH * film.spacing, REACH_SHARE * float(radius.min())), film.r)
         self.bent.assign(np.maximum(BENT, CAP * 0.054 * (self.reach / radius) ** 2))
         if film.features.air:
             self.added.assign(film_added_mass(film.surroundings.air_density, radius))

@@ -58,6 +58,7 @@ def test_midpoint_rule_does_not_feed_a_shear_flow():
         fps=32.0,
         dt=1.0 / 32.0,
         carrier="apic",
+        flip=0.95,
     )
     energy = pair["series"]["energy"]
     assert energy.max() == energy[0]
