@@ -184,6 +184,7 @@ def whirl(points):
 
 
 @pytest.mark.parametrize(("name", "velocity", "dt"), [("closed", swirl, 5e-4), ("flat", whirl, 2e-4)])
+@pytest.mark.slow
 def test_skin_keeps_every_pair(name, velocity, dt, device):
     """Over 40 steps of flow, no pair within r is missing when it is used, though lists live for several steps.
 

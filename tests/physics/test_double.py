@@ -93,6 +93,7 @@ def test_cache_is_float32_and_says_where_it_is_from(folder):
     assert "+float64" in (folder / "cache" / "film.usda").read_text()
 
 
+@pytest.mark.slow
 def test_knob_runs_a_case_in_float64():
     """The same error but for rounding, 6e-8 R of some 1e-2 R in each of some hundred steps; twice the bytes."""
     case, points = CASES["oscillation"].scaled(0.25), (tradeoff.STANDARD, KNOBS["precision"]["64"])

@@ -77,12 +77,14 @@ def test_half_bubble_stands_as_high_as_half_a_sphere(e_count, bound):
 
 
 @pytest.mark.parametrize("damping", [20.0, 50.0])
+@pytest.mark.slow
 def test_a_bubble_lands_beside_another(damping):
     """220 E each: the second comes down on the first one's flank and foot."""
     bubbles = [Bubble((0.0, 1.02 * R, 0.0), R), Bubble((1.35 * R, 2.6 * R, 0.2 * R), R, (0.0, -1.0, 0.0))]
     check_sound(Simulation(on_floor(bubbles, 440, damping)), 24)
 
 
+@pytest.mark.slow
 def test_a_bubble_lands_between_three():
     """220 E each: three share the floor and the fourth sinks in between them; at rest their feet keep apart.
 

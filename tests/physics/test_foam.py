@@ -54,6 +54,7 @@ def test_l_do_not_creep_into_lines():
     assert moved.max() < 0.02 * simulation.film.spacing
 
 
+@pytest.mark.slow
 def test_partition_bends_as_the_pressures_say():
     """R2 = 0.6 R1 at 2,000 E: 1/R2 - 1/R1 of the caps within 2 % of 1/R2; at rest the pair drifts by less than 2 mm/s.
 
@@ -128,6 +129,7 @@ def test_two_bubbles_of_230_e_stay_at_rest():
     assert seen["max_speed"] < fall + 0.3
 
 
+@pytest.mark.slow
 def test_static_balance_converges_to_plateau():
     """Exact double bubbles with lines rounded over a spacing: the net pull is 2 cos(theta/2) - 1 but for that rounding.
 
@@ -161,6 +163,7 @@ def turn_between(before, after):
     return np.degrees(np.arccos(min(1.0, (np.trace(rotation) - 1.0) / 2.0)))
 
 
+@pytest.mark.slow
 def test_a_foam_at_rest_does_not_turn():
     """A foam has no torque on itself: three bubbles turn by less than 2 degrees a second.
 
@@ -175,6 +178,7 @@ def test_a_foam_at_rest_does_not_turn():
     assert turn_between(before, centroids(simulation)) < 2.0 * 40 / 240.0
 
 
+@pytest.mark.slow
 def test_e_keep_apart_where_six_bubbles_meet():
     """Six bubbles around a point keep that vertex for a second: the E there stay 0.7 spacings apart and slow.
 

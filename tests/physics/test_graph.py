@@ -146,6 +146,7 @@ def test_two_graphs_are_launched_a_step(monkeypatch):
 
 
 @pytest.mark.parametrize("name", SCENES)
+@pytest.mark.slow
 def test_counted_iterations_change_nothing(name, monkeypatch):
     """Where graphs have no conditional parts, solvers run on after they are done, to no effect.
 
@@ -257,6 +258,7 @@ def test_a_step_is_captured_anew_where_regions_change(monkeypatch):
     assert all(np.array_equal(states[1][key], states[0][key]) for key in states[0])
 
 
+@pytest.mark.slow
 def test_an_unwatched_frame_that_goes_wrong_is_done_again(monkeypatch):
     """Lists of a dumbbell overflow and E leap: frames end as they do where each step is checked at once, to the bit."""
     numerics = Numerics(support=3.0)

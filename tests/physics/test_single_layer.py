@@ -65,6 +65,7 @@ def test_particles_keep_what_they_carry():
         assert np.array_equal(held[1], simulation.state.e.surfactant.numpy())
 
 
+@pytest.mark.slow
 def test_viscosity_is_what_holds_the_papers_operators():
     """MELP 2022, section 6.2: without any, differences (21) blow the thickness up however short the steps.
 

@@ -67,6 +67,7 @@ def test_knobs_of_a_case_are_knobs(name):
     assert set(CASES[name].knobs) <= set(KNOBS)
 
 
+@pytest.mark.slow
 def test_a_case_at_two_points_and_one_that_is_refused(device):
     """Four times the E bring the error of three waves down; too few are told, not raised."""
     case = CASES["oscillation"].scaled(0.25)
@@ -166,6 +167,7 @@ def test_stages_are_as_exact_as_float32_allows(device):
     assert change > 1e-4
 
 
+@pytest.mark.slow
 def test_rounding_is_far_below_resolution(device):
     """A run nudged by an ulp at every step stays near to one left alone; nudged a hundred thousand times more not."""
     scene = v.small_giant(300, 4)

@@ -161,10 +161,20 @@ def test_an_unstable_scheme_stops_with_its_stage(tmp_path, capsys):
     stopped(capsys, out, "stage membrane", "1 frame, 0 to 0")
 
 
+def listen():
+    """Have Ctrl-C heard, whatever the shell that the tests run in ignores."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_as_a_user_presses_it(tmp_path):
     out = tmp_path / "cache"
     command = [sys.executable, "-m", "melp_warp", "run", "giant_bubble", "--frames", "100000", "--out", str(out)]
-    process = subprocess.Popen([*command, "--set", *SMALL["giant_bubble"]], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*command, "--set", *SMALL["giant_bubble"]],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=listen,  # noqa: PLW1509
+    )
     deadline = time.monotonic() + 60.0
     while len(list_frames(out)) < 3 and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)

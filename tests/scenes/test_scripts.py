@@ -283,7 +283,7 @@ def test_a_scene_file_anywhere(tmp_path):
     ("text", "words"),
     [
         ("x = 1\n", "is not a scene"),
-        ("def broken(:\n", "line 1, SyntaxError"),
+        ("def broken(:\n", "line 1: SyntaxError"),
         ("1 / 0\n", "ZeroDivisionError: division by zero"),
         ("import nothing_like_it\n", "ModuleNotFoundError"),
     ],
