@@ -1,5 +1,6 @@
 """Runs that end before their time go on as if nothing had been."""
 
+import importlib.util
 import json
 import math
 import os
@@ -20,7 +21,10 @@ from melp_warp.files import append
 from melp_warp.interrupt import end_like_ctrl_c, finish_first, let_through
 from melp_warp.simulation import Simulation
 from melp_warp.usd import list_frames
-from tools import kills
+
+SPEC = importlib.util.spec_from_file_location("kills", Path(__file__).resolve().parents[2] / "tools" / "kills.py")
+kills = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(kills)
 
 FRAMES = 6
 
