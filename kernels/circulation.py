@@ -279,10 +279,21 @@ def note_drag_e(
     push[i] = push[i] - dt[0] * drag / (density * eta[i]) * tangential(relative, normal[i])
 
 
+@wp.func
+def thickness_ahead(
+    i: int, eta: wp.array(dtype=float), gamma: wp.array(dtype=float), ahead: wp.array(dtype=float)
+) -> float:
+    """Thickness of E i once its surfactant has come from gamma to `ahead`, m."""
+    if gamma[i] > 0.0:
+        return eta[i] * ahead[i] / gamma[i]
+    return eta[i]
+
+
 @wp.kernel
 def make_circulation_e(
     eta: wp.array(dtype=float),
     gamma: wp.array(dtype=float),
+    ahead: wp.array(dtype=float),
     stiffness: float,
     body: wp.array(dtype=wp.vec3),
     push: wp.array(dtype=wp.vec3),
@@ -300,13 +311,17 @@ def make_circulation_e(
     """Circulation that the step's forces make around each E.
 
     Uneven tension on a film of uneven mass: n.curl(-C/eta grad gamma) = C/eta^2 n.(grad eta x grad gamma), which is 0
-    where the one is a function of the other, to rounding. Outside forces by the curl of their field. Viscosity and drag
-    by that of the velocity that they have made. The curl of the whole change of velocity would have, besides, the error
-    of the curl of a discrete gradient, which is of the second order and makes vortices grow.
+    where the one is proportional to the other, to rounding. Both are those after the share theta of the step, in which
+    liquid and surfactant widen alike: in long steps elastic waves leave nothing of the gamma that a step starts with.
+
+    Outside forces by the curl of their field. Viscosity and drag by that of the velocity that they have made. The curl
+    of the whole change of velocity would have, besides, the error of the curl of a discrete gradient, which is of the
+    second order and makes vortices grow.
 
     Args:
         eta: [n_e] m.
         gamma: [n_e] relative concentration.
+        ahead: [n_e] that of which the step takes the gradient, after its share theta.
         stiffness: C = 2 R T Gamma_0/rho, m^3/s^2; 0 without surfactant.
         body: [n_e] acceleration by outside forces, m/s^2.
         push: [n] change of velocity by viscosity and drag over theta dt, m/s; null without both.
@@ -322,6 +337,7 @@ def make_circulation_e(
     """
     i = rows.first + wp.tid()
     n = normal[i]
+    own = thickness_ahead(i, eta, gamma, ahead)
     thicker = wp.vec3()
     richer = wp.vec3()
     forced = wp.vec3()
@@ -329,10 +345,10 @@ def make_circulation_e(
         j = rows.index[k]
         if j < n_e:
             g = inner_gradient[k]
-            thicker += (eta[j] - eta[i]) * g
-            richer += (gamma[j] - gamma[i]) * g
+            thicker += (thickness_ahead(j, eta, gamma, ahead) - own) * g
+            richer += (ahead[j] - ahead[i]) * g
             forced += wp.cross(g, body[j] - body[i])
-    turn = dt[0] * (stiffness / (eta[i] * eta[i]) * wp.dot(n, wp.cross(thicker, richer)) + wp.dot(n, forced))
+    turn = dt[0] * (stiffness / (own * own) * wp.dot(n, wp.cross(thicker, richer)) + wp.dot(n, forced))
     if push:
         turn += curl_row(i, n, push, rows, gradient) / theta[0]
     made[i] = turn * area[i]

@@ -19,8 +19,6 @@ from melp_warp.transfer import Transfer
 RESTORE_TOLERANCE = 1e-2
 """Relative residual of the Poisson solve of a step: what it leaves is part of the next step's deficit."""
 
-RESTORE_ITERATIONS = 400
-
 CURL_STEP = 1e-3
 """Step of the differences that give the curl of a scene's velocity, spacings."""
 
@@ -56,7 +54,9 @@ class Circulation:
         self._given = film.zeros(8 * -(-film.n_l // 8))
         self._mean = film.parts(wp.vec2) if film.features.closed else None
         operator = LinearOperator(n, lists.ee.rows, film.device, pair=geometry.weight)
-        self.solver = ConjugateGradient(operator, film.total, wp.float32, RESTORE_TOLERANCE, RESTORE_ITERATIONS)
+        self.solver = ConjugateGradient(
+            operator, film.total, wp.float32, RESTORE_TOLERANCE, film.numerics.max_iterations
+        )
         self.psi = self.solver.x
 
     def gather(self) -> None:
@@ -107,13 +107,21 @@ class Circulation:
 
     def take(self, flow: Tangential, dt: wp.array) -> None:
         """Let L take the circulation that the forces along the film make in a step of dt [1]; follows their solve."""
-        film, e, lag, geometry, fields = self.film, self.state.e, self.state.l, self.geometry, flow.fields
+        film, e, lag, geometry = self.film, self.state.e, self.state.l, self.geometry
         if flow.push is not None and self.rim is not None:
             self.rim.mirror(flow.push)
         film.launch_e(
             kc.make_circulation_e,
             [
-                *(fields.eta, fields.gamma, film.stiffness, flow.forces.body, flow.push, flow.theta),
+                *(
+                    flow.fields.eta,
+                    flow.fields.gamma,
+                    flow.gamma,
+                    film.stiffness,
+                    flow.forces.body,
+                    flow.push,
+                    flow.theta,
+                ),
                 *(e.normal, geometry.area, self.lists.ee.rows),
                 *(geometry.inner_gradient, geometry.gradient, film.n_e, dt),
             ],

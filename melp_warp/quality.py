@@ -94,6 +94,7 @@ QUALITIES: Mapping[str, Quality] = MappingProxyType(
                 "solver": "jacobi",
                 "flow": "backward_euler",
                 "l_order": 1,
+                "carrier": "apic",
                 "flip": 0.0,
                 "xsph": 0.99,
             },

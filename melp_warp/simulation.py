@@ -589,6 +589,8 @@ class Simulation:
             reports["surfactant"] = s.tangential.solver.report()
         if s.tangential is not None and s.tangential.viscous is not None:
             reports["viscosity"] = s.tangential.viscous.report()
+        if s.circulation is not None:
+            reports["circulation"] = s.circulation.solver.report()
         if s.redistribution is not None:
             reports["redistribution"] = s.redistribution.solver.report()
         lines = {name: {"iterations": i, "residual": r} for name, (i, r) in reports.items()}

@@ -41,7 +41,10 @@ LATER = ("geometry", "advance_l")
 GAS_LAW = 1e-3
 """Largest relative error of p V = n R T at the end of a frame."""
 
-SOLVED_IN = {"membrane": "membrane", "air": "advance_e", "surfactant": "surfactant", "viscosity": "surfactant"}
+SOLVED_IN = {
+    **{"membrane": "membrane", "air": "advance_e", "surfactant": "surfactant", "viscosity": "surfactant"},
+    "circulation": "l_to_e",
+}
 """Stage of each kind of solve."""
 
 OF_L = ("l_to_e", "e_to_l", "advance_l")
@@ -278,6 +281,7 @@ class Stepper:
             "air": (air.solver,) if air else (),
             "surfactant": (flow.solver,) if flow and flow.solver else (),
             "viscosity": (flow.viscous,) if flow and flow.viscous else (),
+            "circulation": (self.circulation.solver,) if self.circulation else (),
         }
         return {name: found for name, found in solvers.items() if found}
 

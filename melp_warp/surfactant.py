@@ -268,16 +268,20 @@ class Tangential:
         )
         solver.solve()
 
+    @property
+    def gamma(self) -> wp.array:
+        """[n] Gamma/Gamma_0 that drives the step: after its share theta, where there is surfactant."""
+        return self.fields.gamma if self.solver is None else self.solver.x
+
     def _accelerate(self, dt: wp.array) -> None:
         film, fields = self.film, self.fields
-        gamma = fields.gamma if self.solver is None else self.solver.x
         film.launch_e(
             ks.accelerate_tangential_e,
             [
                 self.state.e.x,
                 self.state.e.normal,
                 fields.eta,
-                gamma,
+                self.gamma,
                 self.lists.ee.rows,
                 self.geometry.inner_gradient,
                 film.n_e,

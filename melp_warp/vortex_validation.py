@@ -18,6 +18,7 @@ from melp_warp.scene import Scene
 from melp_warp.shapes import Rectangle, Sphere
 from melp_warp.simulation import Simulation
 from melp_warp.validation import cost, e_points, l_array
+from melp_warp.vortices import gaussian_vortex, sphere_vortex
 
 CARRIER = "circulation"
 LEAPFROG_PASSES = (2.3, 4.26, 5.83, 6.98)
@@ -191,13 +192,7 @@ def sphere_pair(e_count: int = 4000, l_per_e: int = 8, turns: float = 1.0, core:
     a = core * RADIUS
 
     def flow(x):
-        r = np.linalg.norm(x, axis=1)[:, None]
-        s, total = x / r, 0.0
-        for side, c in zip((1.0, -1.0), centres, strict=True):
-            gap = np.maximum(1.0 - s @ c, 1e-9)[:, None]
-            fill = -np.expm1(-2.0 * r**2 * gap / a**2)
-            total = total + side * circulation / (4.0 * np.pi * r) * np.cross(c, s) / gap * fill
-        return total
+        return sum(sphere_vortex(x, c, a, side * circulation) for side, c in zip((1.0, -1.0), centres, strict=True))
 
     simulation = _bubble(flow, e_count, l_per_e, **numerics)
 
@@ -244,10 +239,6 @@ def lamb_oseen(cells: int = 40, l_per_e: int = 8, viscosity: float = 2e-4, growt
     duration = (growth - 1.0) * a * a / (4.0 * viscosity)
     circulation = 2.0 * np.pi * a * 0.05
 
-    def flow(x):
-        squared = np.maximum(np.sum(x**2, axis=1), 1e-12)[:, None]
-        return -circulation / (2.0 * np.pi) * np.expm1(-squared / a**2) / squared * np.cross([0.0, 0.0, 1.0], x)
-
     def moment(nu):
         scene = Scene(
             "lamb_oseen",
@@ -255,7 +246,7 @@ def lamb_oseen(cells: int = 40, l_per_e: int = 8, viscosity: float = 2e-4, growt
             cells * cells,
             l_per_e,
             material=Material(viscosity=nu),
-            velocity=flow,
+            velocity=lambda x: gaussian_vortex(x, a, circulation),
             numerics=Numerics(**{"carrier": CARRIER, **numerics}),
             fps=60.0,
         )

@@ -11,6 +11,7 @@ try:
     from melp_warp.parameters import Key, Values, declare
     from melp_warp.scene import Scene
     from melp_warp.shapes import Sphere, fibonacci_sphere
+    from melp_warp.vortices import sphere_vortex
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error}: run `pip install -e .` in the checkout first") from None
 
@@ -45,17 +46,12 @@ def build(p: Values) -> Scene:
 
 
 def flow(x: np.ndarray, p: Values) -> np.ndarray:
-    """Sum of Gaussian vortices on a sphere, m/s: Gamma/(4 pi r) c x s/(1 - c.s), filled within the core."""
+    """Sum of the vortices, [n, 3] m/s."""
     random = np.random.default_rng(p.seed)
     centres = fibonacci_sphere(2 * p.pairs)
     turn = p.circulation * random.permutation(np.resize([1.0, -1.0], 2 * p.pairs))
-    r = np.linalg.norm(x, axis=1, keepdims=True)
-    s, total = x / r, np.zeros_like(x)
-    for centre, strength in zip(centres, turn, strict=True):
-        gap = np.maximum(1.0 - s @ centre, 1e-9)[:, None]
-        fill = -np.expm1(-2.0 * r**2 * gap / p.core**2)
-        total += strength / (4.0 * np.pi * r) * np.cross(centre, s) / gap * fill
-    return total
+    pairs = zip(centres, turn, strict=True)
+    return sum(sphere_vortex(x, centre, p.core, strength) for centre, strength in pairs)
 
 
 if __name__ == "__main__":

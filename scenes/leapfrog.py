@@ -13,6 +13,7 @@ try:
     from melp_warp.parameters import Key, Values, declare
     from melp_warp.scene import Scene
     from melp_warp.shapes import Rectangle
+    from melp_warp.vortices import gaussian_vortex
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error}: run `pip install -e .` in the checkout first") from None
 
@@ -42,7 +43,7 @@ def build(p: Values) -> Scene:
 
     def velocity(x):
         """Sum of the vortices and of their images beyond the walls, [n, 3] m/s."""
-        return sum(vortex(x - center, p.core, turn) for center, turn in vortices)
+        return sum(gaussian_vortex(x - center, p.core, turn) for center, turn in vortices)
 
     def thickness(x):
         """Dye: bands along the axis, [n] m."""
@@ -72,13 +73,6 @@ def with_images(vortices, width: float, height: float):
     return [
         (image(center, sx, sy), turn * (-1.0) ** (abs(sx) + abs(sy))) for center, turn in vortices for sx, sy in flips
     ]
-
-
-def vortex(x: np.ndarray, core: float, circulation: float) -> np.ndarray:
-    """[n, 3] m/s velocity of a Gaussian vortex about z at offsets x [n, 3] m from its centre."""
-    squared = np.maximum(np.sum(x * x, axis=1), 1e-12 * core**2)
-    turning = -circulation / (2.0 * np.pi) * np.expm1(-squared / core**2) / squared
-    return turning[:, None] * np.cross([0.0, 0.0, 1.0], x)
 
 
 if __name__ == "__main__":

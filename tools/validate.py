@@ -88,6 +88,9 @@ def flat_film() -> v.Scene:
     return script.build(script.parameters.values({"e_count": 300, "l_per_e": 8}))
 
 
+TRANSFERS = {"carrier": "apic", "flip": 0.95}
+"""How L carry vortices here, by their velocity alone: docs/vortices.md has those that carry circulation."""
+
 CASES: dict[str, Case] = {
     "rest": Case(
         "Resting bubble, gauge pressure",
@@ -321,10 +324,10 @@ CASES: dict[str, Case] = {
         "-",
         v.taylor_vortex,
         [
-            {"cells": 24},
-            {"cells": 40},
-            {"cells": 40, "support": 4.0},
-            {"cells": 40, "l_order": 2},
+            {**TRANSFERS, "cells": 24},
+            {**TRANSFERS, "cells": 40},
+            {**TRANSFERS, "cells": 40, "support": 4.0},
+            {**TRANSFERS, "cells": 40, "l_order": 2},
         ],
         {"l_per_e": 8, "turns": 1.0},
         lambda r: f"{r['measured']:.2f}, {r['angular_kept']:.2f}; peak vorticity {r['peak_kept']:.2f}",
@@ -386,7 +389,7 @@ CASES: dict[str, Case] = {
         "they part",
         "they part",
         v.taylor_pair,
-        [{}, {"support": 4.0}, {"l_order": 2}, {"separation": 0.7}],
+        [{**TRANSFERS, **given} for given in ({}, {"support": 4.0}, {"l_order": 2}, {"separation": 0.7})],
         {"e_count": 1600, "l_per_e": 8, "duration": 4.0},
         lambda r: (
             f"{r['exact']:.2f} -> {r['measured']:.2f} m, closest {r['closest']:.2f} m; energy kept "
