@@ -17,8 +17,8 @@ import warp as wp
 
 from melp_warp.errors import InputError, require
 
-OLDEST_WARP, NEWEST_WARP = (1, 14), (1, 19)
-"""The versions of Warp that melp-warp is tested with. Older ones end in a segmentation fault or capture no step."""
+OLDEST_WARP, NEWEST_WARP = (1, 17), (1, 19)
+"""The versions of Warp that melp-warp is tested with. Older ones mix up kernels that are compiled side by side."""
 
 
 class UntestedWarning(UserWarning):

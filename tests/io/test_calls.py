@@ -273,17 +273,17 @@ def test_the_oldest_warp_is_the_declared_one():
     assert f'"warp-lang>={environment.OLDEST_WARP[0]}.{environment.OLDEST_WARP[1]}"' in project
 
 
-@pytest.mark.parametrize("version", ["1.13.0", "1.9", "0.15.1"])
+@pytest.mark.parametrize("version", ["1.16.1", "1.9", "0.15.1"])
 def test_a_warp_that_is_too_old_is_refused(version):
-    with pytest.raises(InputError, match=f"warp-lang {version} is too old: melp-warp needs 1.14 or newer"):
+    with pytest.raises(InputError, match=f"warp-lang {version} is too old: melp-warp needs 1.17 or newer"):
         environment.check_warp(version)
 
 
 @pytest.mark.parametrize(
-    ("version", "new"), [("1.14.0", False), ("1.19.3", False), ("1.20.0.dev1", True), ("2.0", True)]
+    ("version", "new"), [("1.17.0", False), ("1.19.3", False), ("1.20.0.dev1", True), ("2.0", True)]
 )
 def test_a_warp_that_is_newer_than_tested_is_said(version, new, recwarn):
     environment.check_warp(version)
     assert [str(w.message) for w in recwarn] == [
-        f"melp-warp is tested with warp-lang 1.14 to 1.19, this is {version}"
+        f"melp-warp is tested with warp-lang 1.17 to 1.19, this is {version}"
     ] * new
