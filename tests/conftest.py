@@ -1,9 +1,13 @@
 """Fixtures shared by all tests."""
 
+import os
 import signal
 
 import pytest
 import warp as wp
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # a process a core: each works on one thread, with the same bits
+    os.environ.setdefault("MELP_WARP_THREADS", "1")
 
 
 @pytest.fixture(scope="session")
