@@ -24,6 +24,7 @@ import numpy as np
 
 from melp_warp.errors import InputError
 from melp_warp.frame import MeshFrame, ParticleFrame
+from melp_warp.packing import refine_normals
 
 PATIENCE = 60.0
 """Seconds without a word after which the other process is stopped; a second more for each megabyte of the file."""
@@ -171,7 +172,8 @@ def _read(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame 
             _ARRAYS[answer["kind"]], answer["types"], answer["shapes"], data, strict=True
         )
     }
-    return _KINDS[answer["kind"]](**arrays, origin=tuple(answer["origin"]))
+    frame = _KINDS[answer["kind"]](**arrays, origin=tuple(answer["origin"]))
+    return refine_normals(frame) if answer["packed"] else frame
 
 
 def read_root(directory: str | os.PathLike) -> dict:
@@ -250,12 +252,12 @@ def _answer_frame(question: dict, say) -> None:
     path = usd.frame_path(question["directory"], question["frame"])
     if path.is_file():
         _limit_memory(path.stat().st_size)
-    frame = usd.read_prim(question["directory"], question["frame"], question["prim"])
+    frame, packed = usd.read_prim(question["directory"], question["frame"], question["prim"])
     usd.check_sizes(path, frame)
     kind = "Mesh" if isinstance(frame, MeshFrame) else "Particles"
     arrays = [np.ascontiguousarray(getattr(frame, name)) for name in _ARRAYS[kind]]
     types, shapes = [str(a.dtype) for a in arrays], [a.shape for a in arrays]
-    answer = {"kind": kind, "types": types, "shapes": shapes, "origin": frame.origin, "done": True}
+    answer = {"kind": kind, "types": types, "shapes": shapes, "origin": frame.origin, "packed": packed, "done": True}
     say(answer, [a.tobytes() for a in arrays])
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from melp_warp.errors import InputError
 from melp_warp.files import digest
 from melp_warp.optics import display_color
+from melp_warp.packing import shown_thickness
 from melp_warp.usd import (
     CLIP_TEMPLATE,
     FRAMES,
@@ -20,6 +21,7 @@ from melp_warp.usd import (
     MAX_FRAME,
     METADATA_KEY,
     MOST_REGIONS,
+    PACKED_NORMALS,
     ROOT,
     SCHEMA_VERSION,
     THICKNESS_UNIT,
@@ -30,13 +32,17 @@ from melp_warp.usd import (
     list_frames,
     open_layer,
     origin_of,
+    packed_of,
     prims_of,
     read_sample,
     refers_to,
     rims_of,
+    with_rows,
 )
 
 LOG = "run.jsonl"
+READABLE = (2, SCHEMA_VERSION)
+"""Versions of the schema that can be checked."""
 
 PLAUSIBLE_THICKNESS = (1.0, 1e5)
 """nm; the median of a frame lies within, or the unit is wrong."""
@@ -74,6 +80,7 @@ def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda
     try:
         root = open_layer(directory / ROOT)
         prims = prims_of(root)
+        packed = packed_of(root, prims)
     except InputError as error:
         return [*problems, f"{ROOT}: {error}"]
     except Exception as error:  # a name that Python cannot hold
@@ -88,7 +95,7 @@ def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda
         rims = 0
     elsewhere = _guarded(ROOT, _check_elsewhere, ROOT, root)
     at(MANIFEST)
-    of_manifest, readable = _check_manifest(directory, prims)
+    of_manifest, readable = _check_manifest(directory, prims, packed)
     missing, fit = _check_range(root, on_disk)
     problems += of_root + elsewhere + of_manifest + missing
     whole = fit and readable and _clips_are_ours(root, prims) and not elsewhere
@@ -102,7 +109,7 @@ def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda
             continue
         found = _guarded(_frame_name(frame), _check_elsewhere, _frame_name(frame), layer)
         whole = whole and not found
-        problems += found + _guarded(_frame_name(frame), _check_frame, layer, frame, root, prims, rims)
+        problems += found + _guarded(_frame_name(frame), _check_frame, layer, frame, root, prims, packed, rims)
     if on_disk and whole:
         at(ROOT)
         problems += _guarded(ROOT, _check_stages, directory, on_disk[0], root, prims)
@@ -242,11 +249,11 @@ def _check_declaration(name: str, layer, prim: str, attribute: Attribute) -> lis
     return problems
 
 
-def _check_declarations(name: str, layer, prims: list[str]) -> list[str]:
+def _check_declarations(name: str, layer, prims: list[str], packed: set[str]) -> list[str]:
     """Declarations only: in the root and the manifest no attribute of a frame has a value."""
     problems = []
     for prim in prims:
-        for attribute in attributes_of(prim):
+        for attribute in with_rows(attributes_of(prim, packed)):
             problems += _check_declaration(name, layer, prim, attribute)
             if layer.GetNumTimeSamplesForPath(f"/World/{prim}.{attribute.name}"):
                 problems.append(f"{name}: /World/{prim}.{attribute.name}: has time samples, which hide the frames")
@@ -258,7 +265,8 @@ def _check_root(root, prims: list[str]) -> list[str]:
     if not (root.HasStartTimeCode() and root.HasEndTimeCode()):
         problems.append(f"{ROOT}: startTimeCode or endTimeCode is missing")
     data = _metadata(root)
-    problems += _expect(f"{ROOT}: {METADATA_KEY}.schemaVersion", data.get("schemaVersion"), SCHEMA_VERSION)
+    if data.get("schemaVersion") not in READABLE:
+        problems += _expect(f"{ROOT}: {METADATA_KEY}.schemaVersion", data.get("schemaVersion"), SCHEMA_VERSION)
     problems += _expect(f"{ROOT}: {METADATA_KEY}.thicknessUnit", data.get("thicknessUnit"), THICKNESS_UNIT)
     for key in ("refractiveIndex", "colorGain", "scene", "seed", "versions"):
         if key not in data:
@@ -271,7 +279,7 @@ def _check_root(root, prims: list[str]) -> list[str]:
     problems += _expect(f"{ROOT}: /World: kind", world.kind, "component")
     if world.GetInfo("clips"):
         problems.append(f"{ROOT}: /World: has value clips, which belong on the prims")
-    problems += _check_declarations(ROOT, root, prims)
+    problems += _check_declarations(ROOT, root, prims, packed_of(root, prims))
     for prim in prims:
         problems += _check_clips(root, prim) + _check_fixed(ROOT, root, prim)
         binding = root.GetRelationshipAtPath(f"/World/{prim}.material:binding")
@@ -334,14 +342,14 @@ def _check_clips(root, prim: str) -> list[str]:
     return problems
 
 
-def _check_manifest(directory: Path, prims: list[str]) -> tuple[list[str], bool]:
+def _check_manifest(directory: Path, prims: list[str], packed: set[str]) -> tuple[list[str], bool]:
     """The problems of the manifest, and whether a stage may read it."""
     try:
         manifest = open_layer(directory / MANIFEST)
     except InputError as error:
         return [f"{MANIFEST}: {error}"], False
     elsewhere = _guarded(MANIFEST, _check_elsewhere, MANIFEST, manifest)
-    return elsewhere + _guarded(MANIFEST, _check_declarations, MANIFEST, manifest, prims), not elsewhere
+    return elsewhere + _guarded(MANIFEST, _check_declarations, MANIFEST, manifest, prims, packed), not elsewhere
 
 
 def _check_range(root, on_disk: list[int]) -> tuple[list[str], bool]:
@@ -366,7 +374,7 @@ def _check_range(root, on_disk: list[int]) -> tuple[list[str], bool]:
 # --- one frame -----------------------------------------------------------------------------------------------------
 
 
-def _check_frame(layer, frame: int, root, prims: list[str], rims: int) -> list[str]:
+def _check_frame(layer, frame: int, root, prims: list[str], packed: set[str], rims: int) -> list[str]:
     name = _frame_name(frame)
     problems = _check_units(name, layer, root.framesPerSecond)
     problems += _expect(f"{name}: startTimeCode", layer.startTimeCode, float(frame))
@@ -377,14 +385,32 @@ def _check_frame(layer, frame: int, root, prims: list[str], rims: int) -> list[s
         problems += _expect(f"{name}: /World/{prim}: origin", origin_of(layer, prim), origin_of(root, prim))
         arrays = {}
         problems += _check_fixed(name, layer, prim)
-        for attribute in attributes_of(prim):
+        attributes = attributes_of(prim, packed)
+        for attribute in with_rows(attributes):
             found = _check_declaration(name, layer, prim, attribute)
             if not found:
                 found, array = _read_array(name, layer, frame, prim, attribute)
                 if not found:
                     arrays[attribute.name] = array
             problems += found
-        problems += _check_arrays(name, prim, arrays, _metadata(root), rims)
+        problems += _look_up(f"{name}: /World/{prim}", arrays, attributes)
+        problems += _check_arrays(name, prim, arrays, attributes, _metadata(root), rims)
+    return problems
+
+
+def _look_up(where: str, arrays: dict[str, np.ndarray], attributes: Sequence[Attribute]) -> list[str]:
+    """Put what each particle has in place of tables and rows, as far as they fit together."""
+    problems = []
+    for attribute in attributes:
+        if attribute.indexed:
+            table, rows = (arrays.pop(one.name, None) for one in (attribute, attribute.rows))
+            if table is None or rows is None:
+                continue
+            if len(rows) and not (rows.min() >= 0 and rows.max() < len(table)):
+                what = f"from {rows.min()} to {rows.max()}, must be from 0 to {len(table) - 1}"
+                problems.append(f"{where}.{attribute.rows.name}: {what}")
+            else:
+                arrays[attribute.name] = table[rows]
     return problems
 
 
@@ -409,13 +435,20 @@ def _read_array(name: str, layer, frame: int, prim: str, attribute: Attribute) -
     return ([f"{name}: {path}: has numbers above {LARGEST:g}"], None) if large else ([], array)
 
 
-def _check_arrays(name: str, prim: str, arrays: dict[str, np.ndarray], metadata: dict, rims: int) -> list[str]:
+def _check_arrays(
+    name: str,
+    prim: str,
+    arrays: dict[str, np.ndarray],
+    attributes: Sequence[Attribute],
+    metadata: dict,
+    rims: int,
+) -> list[str]:
     """What the arrays of one prim must fulfil; each rule applies where the arrays it needs are sound."""
     where, problems = f"{name}: /World/{prim}", []
     if "points" not in arrays:
         return problems
     count = len(arrays["points"])
-    for attribute in attributes_of(prim)[1:-1]:
+    for attribute in attributes[1:-1]:
         array = arrays.get(attribute.name)
         if array is not None and len(array) != count and not attribute.name.startswith("faceVertex"):
             problems.append(f"{where}.{attribute.name}: {len(array)} values for {count} points")
@@ -493,7 +526,8 @@ def _check_widths(arrays: dict, metadata: dict) -> list[str]:
 
 
 def _check_normals(arrays: dict, metadata: dict) -> list[str]:
-    length = np.linalg.norm(arrays["normals"].astype(np.float64), axis=1)
+    normals = arrays[PACKED_NORMALS.name if PACKED_NORMALS.name in arrays else "normals"]
+    length = np.linalg.norm(normals.astype(np.float64), axis=1)
     bad = np.abs(length - 1.0) > NORMAL_TOLERANCE
     if not bad.any():
         return []
@@ -537,8 +571,9 @@ def _check_color(arrays: dict, metadata: dict) -> list[str]:
     gain, index = metadata.get("colorGain"), metadata.get("refractiveIndex")
     if thickness is None or not len(thickness) or thickness.min() < 0.0 or gain is None or index is None:
         return []
+    shown = shown_thickness(thickness) if PACKED_NORMALS.name in arrays else thickness
     try:
-        error = np.abs(color - display_color(thickness, gain, index)).max()
+        error = np.abs(color - display_color(shown, gain, index)).max()
     except (InputError, TypeError) as problem:
         return [f"cannot be compared with the thickness: {problem}"]
     if error <= COLOR_TOLERANCE:
@@ -566,6 +601,7 @@ _RULES = (
     ("ids", _check_ids),
     ("widths", _check_widths),
     ("normals", _check_normals),
+    (PACKED_NORMALS.name, _check_normals),
     ("primvars:thickness", _check_thickness),
     ("primvars:region", _check_region),
     ("primvars:blackFilm", _check_black_film),
@@ -607,7 +643,7 @@ def _check_through_clips(stage, root, prims: list[str]) -> list[str]:
     problems = []
     for prim in prims:
         uneven, elsewhere = [], []
-        for name in (attribute.name for attribute in attributes_of(prim)):
+        for name in (attribute.name for attribute in with_rows(attributes_of(prim, packed_of(root, [prim])))):
             found = stage.GetAttributeAtPath(f"/World/{prim}.{name}")
             if not found or found.GetTimeSamples() != wanted:
                 uneven.append(name)

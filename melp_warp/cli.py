@@ -168,6 +168,9 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     run.add_argument(
         "--export", choices=("l", "e", "both"), help="particles to write: L, E or both (default: L where there are any)"
     )
+    run.add_argument(
+        "--full", action="store_true", help="store L to the bit; else their widths, normals and colours are rounded"
+    )
     run.add_argument("--mesh", action="store_true", help="write a surface mesh of each region")
     run.add_argument(
         "--triangles", metavar="N", type=int, help="triangles of all meshes of a frame, about; asks for --mesh"
@@ -339,6 +342,7 @@ def _run(options: argparse.Namespace) -> int:
     out = options.out if options.out is not None else Path("out") / script.name
     writes = {
         "export": options.export,
+        "full": options.full or None,
         "mesh": True if options.mesh or options.triangles is not None else None,
         "triangles": options.triangles,
         "first": options.start,
@@ -354,7 +358,9 @@ def _run(options: argparse.Namespace) -> int:
         writes = options_of(start, writes, same=options.resume)
     else:
         values = quality.values(script, given)
-        writes = {"mesh": False, "first": 0, "budget": True} | {k: v for k, v in writes.items() if v is not None}
+        writes = {"full": False, "mesh": False, "first": 0, "budget": True} | {
+            k: v for k, v in writes.items() if v is not None
+        }
     budget = writes.pop("budget")
     plan = runner.Plan(
         scene=replace(script.build(values), budget=budget),

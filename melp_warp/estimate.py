@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.cluster import Cluster
-from melp_warp.room import disk_bytes, size_text
+from melp_warp.room import Written, size_text
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
 from melp_warp.tables import columns
@@ -41,7 +41,8 @@ class Estimate:
         step_seconds: wall time of a step, s.
         dt: size of the last step that was taken, s; the whole run is taken to go on with it.
         steps: number of steps.
-        disk: bytes of the cache.
+        disk: bytes of the cache and its log.
+        beside: bytes of checkpoints and pictures.
         frames: number of frames after the first.
         measured: share of the particles that the steps were measured with; the rest is in proportion.
         load: processes that ran or wanted to in the last minute, this one among them.
@@ -54,6 +55,7 @@ class Estimate:
     dt: float
     steps: int
     disk: float
+    beside: float
     frames: int
     measured: float
     load: float
@@ -74,7 +76,7 @@ class Estimate:
                 ("steps", f"{self.steps:,} for {self.frames:,} frames"),
                 ("whole run", f"{_duration(self.seconds)}, without writing and drawing"),
                 ("load", f"{self.load:.2g} processes on {os.cpu_count()} cores meanwhile, and taken to stay"),
-                ("on disk", size_text(self.disk)),
+                ("on disk", f"{size_text(self.disk)}, and {size_text(self.beside)} for checkpoints and pictures"),
             ]
         )
 
@@ -116,7 +118,7 @@ def _arrays(root: object) -> Iterator[wp.array]:
             left.extend(vars(item).values())
 
 
-def measure_cost(scene: Scene, device: str = "cpu", e_sets: int = 0, l_sets: int = 1) -> Estimate:
+def measure_cost(scene: Scene, device: str = "cpu", written: Written | None = None) -> Estimate:
     """Take a few steps of a scene and tell what all of it would cost.
 
     Scenes of more than `PARTICLES` particles are measured with fewer: memory, time a step and, where the scene sets
@@ -126,8 +128,7 @@ def measure_cost(scene: Scene, device: str = "cpu", e_sets: int = 0, l_sets: int
     Args:
         scene: what to simulate.
         device: Warp's name of the device.
-        e_sets: how often each frame stores the E.
-        l_sets: how often it stores the L.
+        written: what the run writes; None for its L alone.
 
     Returns:
         The estimate. The step is that of the start: a flow that grows faster needs more steps.
@@ -136,6 +137,7 @@ def measure_cost(scene: Scene, device: str = "cpu", e_sets: int = 0, l_sets: int
         InputError: the scene or the device cannot be used.
         SimulationError: a step failed.
     """
+    written = written or Written()
     fraction = min(1.0, max(PARTICLES / (scene.e_count * (1 + scene.l_per_e)), FEWEST_E / scene.e_count))
     simulation = Simulation(replace(scene, e_count=max(1, round(fraction * scene.e_count))), device)
     dt, step_seconds = _take_steps(simulation)
@@ -150,7 +152,8 @@ def measure_cost(scene: Scene, device: str = "cpu", e_sets: int = 0, l_sets: int
         step_seconds=step_seconds / share,
         dt=dt,
         steps=math.ceil(scene.frames / scene.fps / dt - 1e-6),
-        disk=disk_bytes(e_sets * e_count, l_sets * l_count, scene.frames + 1),
+        disk=written.cache_bytes(e_count, l_count, scene.frames + 1),
+        beside=written.other_bytes(e_count, l_count),
         frames=scene.frames,
         measured=share,
         load=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),

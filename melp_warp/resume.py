@@ -32,7 +32,7 @@ _LEFTOVER = re.compile(r"\..+\.tmp\.[a-z]+")
 NAMES = {"first": "start", "budget": "no-budget"}
 """Options of the command line that have another name."""
 
-OPTIONS = {"export": str | None, "mesh": bool, "triangles": int | None, "first": int, "budget": bool}
+OPTIONS = {"export": str | None, "full": bool, "mesh": bool, "triangles": int | None, "first": int, "budget": bool}
 """What a run writes besides the numbers of its scene, see `Start`."""
 
 
@@ -45,7 +45,7 @@ class Start:
         folder: that of the run that wrote it.
         scene: name of its scene.
         parameters: keys and values of the scene; None for "auto".
-        options: what it writes, by the names of `runner.Plan`: export, mesh, triangles, first; and budget.
+        options: what it writes, by the names of `runner.Plan`: export, full, mesh, triangles, first; and budget.
         frame: number of the checkpoint's frame.
         line: what the log says of that frame; without "sha256" where the frame was not written.
         empty_from: see `runner._Output`.

@@ -14,11 +14,20 @@ from melp_warp.scene import Scene
 LEAST_E, LEAST_L = 2000, 800
 """Bytes that the arrays of an E and of an L take at least: foams take thrice that an E, films of E alone just that."""
 
-FRAME_BYTES = 60
-"""On disk, a particle and frame: fourteen float32 and what the ids and flags are packed to."""
+FULL_BYTES, PACKED_BYTES = 57, 32
+"""On disk, a particle and frame: fourteen float32 and what the ids and flags take; seven, and what all else takes."""
 
 TRIANGLE_BYTES = 40
 """The same of a triangle of a mesh."""
+
+FRAME_BYTES = 6000
+"""The same of a frame without particles, with its line of the log."""
+
+CHECKPOINT_E, CHECKPOINT_L, CHECKPOINTS = 360, 110, 3
+"""The same of an E and an L in a checkpoint, and how many there are while one is written."""
+
+PICTURE_BYTES = 4_000_000
+"""Of the pictures at a run's end, at most."""
 
 _SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,6})?) ?([kMGT]?)B?")
 
@@ -62,9 +71,36 @@ def size_text(count: float) -> str:
     return f"{count:.3g} TB"
 
 
-def disk_bytes(e_count: int, l_count: int, frames: int, triangles: int = 0) -> int:
-    """Bytes of a cache whose `frames` hold so many particles and triangles each."""
-    return frames * (FRAME_BYTES * (e_count + l_count) + TRIANGLE_BYTES * triangles)
+@dataclass(frozen=True)
+class Written:
+    """What a run writes.
+
+    Attributes:
+        e_sets: how often each frame stores the E.
+        l_sets: how often it stores the L.
+        full: whether all of the L's arrays are stored to the bit.
+        mesh: whether it stores meshes.
+        triangles: how many; None for about as many as there are L.
+        pictures: whether pictures are drawn at the end.
+    """
+
+    e_sets: int = 0
+    l_sets: int = 1
+    full: bool = False
+    mesh: bool = False
+    triangles: int | None = None
+    pictures: bool = False
+
+    def cache_bytes(self, e_count: int, l_count: int, frames: int) -> int:
+        """Bytes of the cache and its log."""
+        triangles = (self.triangles or l_count or 2 * e_count) if self.mesh else 0
+        an_l = FULL_BYTES if self.full else PACKED_BYTES
+        particles = FULL_BYTES * self.e_sets * e_count + an_l * self.l_sets * l_count
+        return frames * (FRAME_BYTES + particles + TRIANGLE_BYTES * triangles)
+
+    def other_bytes(self, e_count: int, l_count: int) -> int:
+        """Bytes of checkpoints and pictures."""
+        return CHECKPOINTS * (CHECKPOINT_E * e_count + CHECKPOINT_L * l_count) + PICTURE_BYTES * self.pictures
 
 
 def check_memory(scene: Scene, device: str, room: Room) -> None:
@@ -83,7 +119,7 @@ def check_memory(scene: Scene, device: str, room: Room) -> None:
 
 
 def check_disk(folder: Path, need: float, room: Room) -> None:
-    """Refuse a cache that does not fit onto the disk of its folder.
+    """Refuse a run that does not fit onto the disk of its folder.
 
     Raises:
         InputError: it does not.
@@ -92,7 +128,7 @@ def check_disk(folder: Path, need: float, room: Room) -> None:
     free = shutil.disk_usage(existing).free
     limit = min(room.disk or free, free)
     what = "--max-disk" if limit < free else f"the disk of {existing}"
-    told = f"a cache of about {size_text(need)}"
+    told = f"about {size_text(need)} with checkpoints"
     require(need <= limit, "frames and particles", told, f"few enough for {what}, {size_text(limit)}")
 
 

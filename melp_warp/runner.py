@@ -34,7 +34,7 @@ from melp_warp.resume import (
     cut_back,
     find_start,
 )
-from melp_warp.room import ALL, Room, check_disk, check_memory, disk_bytes
+from melp_warp.room import ALL, Room, Written, check_disk, check_memory
 from melp_warp.scene import Scene
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ class Plan:
         out: folder to write, new or empty, or that of a run that goes on.
         device: Warp's name of the device.
         export: "l", "e", "both", or None for L where there are any and E otherwise.
+        full: whether L are stored to the bit, not packed.
         preview: whether to draw preview.png and contact.png at the end.
         quiet: whether to print nothing but errors.
         strict: whether a run that has notices (`melp_warp.notices`) counts as failed.
@@ -107,6 +108,7 @@ class Plan:
     out: Path
     device: str = "cpu"
     export: str | None = None
+    full: bool = False
     preview: bool = False
     quiet: bool = False
     strict: bool = False
@@ -181,18 +183,18 @@ def _check_room(plan: Plan) -> None:
     """Refuse at once what cannot fit."""
     scene = plan.scene
     check_memory(scene, plan.device, plan.room)
-    e_sets, l_sets = _sets_of(plan)
-    l_count = scene.e_count * scene.l_per_e
-    meshes = (plan.triangles or l_count or 2 * scene.e_count) if plan.mesh else 0
+    counts = scene.e_count, scene.e_count * scene.l_per_e
     done = plan.start.frame - plan.first + 1 if plan.start else 0
-    need = disk_bytes(e_sets * scene.e_count, l_sets * l_count, scene.frames + 1 - done, meshes)
+    written = _written(plan)
+    need = written.cache_bytes(*counts, scene.frames + 1 - done) + written.other_bytes(*counts)
     check_disk(plan.out, need, plan.room)
 
 
-def _sets_of(plan: Plan) -> tuple[int, int]:
-    """How often each frame stores the E and the L."""
+def _written(plan: Plan) -> Written:
+    """What the run writes."""
     with_l = plan.scene.l_per_e > 0 and plan.export != "e"
-    return int(not with_l) + int(plan.export in ("e", "both")), int(with_l)
+    e_sets = int(not with_l) + int(plan.export in ("e", "both"))
+    return Written(e_sets, int(with_l), plan.full, plan.mesh, plan.triangles, plan.preview)
 
 
 def start_from(folder: Path) -> Start:
@@ -216,7 +218,7 @@ def estimate(plan: Plan) -> Estimate:
     from melp_warp.estimate import measure_cost
 
     _check_room(plan)
-    return measure_cost(plan.scene, plan.device, *_sets_of(plan))
+    return measure_cost(plan.scene, plan.device, _written(plan))
 
 
 def trade(script: SceneScript, overrides: Mapping[str, Value], e_count: int, frames: int, out: Path | None) -> str:
@@ -384,11 +386,12 @@ class _Output:
         floors = [wall for wall in getattr(plan.scene.shape, "walls", ()) if not wall.pops]
         metadata |= store_floors([(np.subtract(wall.point, origin), wall.normal) for wall in floors])
         prims = [*self._sets, *(surface_prim(k) for k in _all_regions(plan.scene) if plan.mesh)]
+        packed = [prim for prim, which in self._sets.items() if which == "l" and not plan.full]
         there = cut_back(plan.start) if plan.goes_on else None
         if plan.overwrite:
             clear(plan.out)
         self._cache = CacheWriter(
-            plan.out, plan.scene.fps, metadata, prims, origin=origin, rims=self._rims, there=there
+            plan.out, plan.scene.fps, metadata, prims, origin=origin, rims=self._rims, packed=packed, there=there
         )
         self.has_present = plan.goes_on and plan.start.written
         self._line = plan.start.line if plan.goes_on else {}
@@ -450,7 +453,7 @@ class _Output:
         run = {
             "scene": plan.name,
             "parameters": dict(plan.parameters),
-            "options": {name: getattr(plan, name) for name in ("export", "mesh", "triangles", "first")}
+            "options": {name: getattr(plan, name) for name in ("export", "full", "mesh", "triangles", "first")}
             | {"budget": plan.scene.budget},
             "frame": self._line["frame"],
             "line": self._line,

@@ -17,7 +17,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,8 +28,11 @@ from melp_warp.errors import InputError, SimulationError, require
 from melp_warp.files import digest, replacing
 from melp_warp.frame import MeshFrame, ParticleFrame
 from melp_warp.optics import DISPLAY_GAIN, WATER_INDEX, display_color
+from melp_warp.packing import pack_colors, pack_normals, refine_normals, round_widths
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
+"""Before 3 no set was packed."""
+
 ROOT = "film.usda"
 MANIFEST = "film.manifest.usda"
 LOOK = "film_look.usda"
@@ -71,6 +74,7 @@ class Attribute(NamedTuple):
         dtype: NumPy type.
         columns: 1 for scalars, 3 for vectors.
         interpolation: USD interpolation; None where the schema fixes it.
+        indexed: whether it is a table, and NAME:indices has the row of each particle.
     """
 
     name: str
@@ -80,6 +84,12 @@ class Attribute(NamedTuple):
     dtype: type
     columns: int
     interpolation: str | None
+    indexed: bool = False
+
+    @property
+    def rows(self) -> Attribute:
+        """The attribute with the row of each particle."""
+        return Attribute(f"{self.name}:indices", None, "int[]", "IntArray", np.int32, 1, None)
 
 
 ATTRIBUTES = (
@@ -97,6 +107,12 @@ ATTRIBUTES = (
 """Every attribute of a point prim. Each frame holds all of them, the root and the manifest declare them."""
 
 _SHARED = {attribute.name: attribute for attribute in ATTRIBUTES}
+
+PACKED_NORMALS = _SHARED["normals"]._replace(name="primvars:normals", indexed=True)
+PACKED_ATTRIBUTES = tuple(
+    {"normals": PACKED_NORMALS, "primvars:displayColor": a._replace(indexed=True)}.get(a.name, a) for a in ATTRIBUTES
+)
+"""The same of a set that is packed, see packing.py."""
 
 MESH_ATTRIBUTES = (
     *(_SHARED[name] for name in ("points", "velocities", "normals")),
@@ -122,9 +138,19 @@ def is_mesh(prim: str) -> bool:
     return prim.startswith(f"{SURFACE}/")
 
 
-def attributes_of(prim: str) -> tuple[Attribute, ...]:
-    """The attributes of a prim of a cache."""
-    return MESH_ATTRIBUTES if is_mesh(prim) else ATTRIBUTES
+def attributes_of(prim: str, packed: Collection[str] = ()) -> tuple[Attribute, ...]:
+    """The attributes of a prim of a cache, of which some sets are packed."""
+    return MESH_ATTRIBUTES if is_mesh(prim) else PACKED_ATTRIBUTES if prim in packed else ATTRIBUTES
+
+
+def with_rows(attributes: Sequence[Attribute]) -> list[Attribute]:
+    """Attributes as USD has them: after each that is indexed the one with its rows."""
+    return [one for a in attributes for one in ((a, a.rows) if a.indexed else (a,))]
+
+
+def packed_of(layer, prims: Sequence[str]) -> set[str]:
+    """The sets that are packed in a layer."""
+    return {prim for prim in prims if layer.GetAttributeAtPath(f"/World/{prim}.{PACKED_NORMALS.name}")}
 
 
 def prims_of(layer) -> list[str]:
@@ -314,7 +340,9 @@ def _new_layer(extension: str, fps: float):
 Origin = tuple[float, float, float]
 
 
-def _declare(layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0), fixed: bool = True) -> None:
+def _declare(
+    layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0), packed: Collection[str] = (), fixed: bool = True
+) -> None:
     """Add /World and the prims with every attribute, without values; moved to `origin` where it is elsewhere.
 
     With `fixed`, meshes say besides what holds for all frames: that they are as they are, and seen from both sides.
@@ -329,7 +357,7 @@ def _declare(layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0), fixe
             Sdf.PrimSpec(world, SURFACE, Sdf.SpecifierDef, "Xform")
         parent = layer.GetPrimAtPath(f"/World/{SURFACE}") if mesh else world
         spec = Sdf.PrimSpec(parent, prim.rsplit("/", 1)[-1], Sdf.SpecifierDef, "Mesh" if mesh else "Points")
-        for attribute in attributes_of(prim):
+        for attribute in with_rows(attributes_of(prim, packed)):
             found = Sdf.AttributeSpec(spec, attribute.name, Sdf.ValueTypeNames.Find(attribute.type_name))
             if attribute.interpolation:
                 found.SetInfo("interpolation", attribute.interpolation)
@@ -362,26 +390,36 @@ def origin_of(layer, prim: str) -> Origin:
     return tuple(place)
 
 
-def _frame_layer(frame_index: int, fps: float, frames: Mapping, gain: float, index: float):
+def _frame_layer(frame_index: int, fps: float, frames: Mapping, packed: Collection[str], gain: float, index: float):
     """The layer of one frame: every attribute with one sample at its own time code."""
     layer = _new_layer(".usdc", fps)
     layer.startTimeCode = layer.endTimeCode = frame_index
     layer.customLayerData = {METADATA_KEY: {"schemaVersion": SCHEMA_VERSION, "thicknessUnit": THICKNESS_UNIT}}
-    _declare(layer, list(frames), next(iter(frames.values())).origin)
+    _declare(layer, list(frames), next(iter(frames.values())).origin, packed)
     for prim, frame in frames.items():
-        _set_values(layer, frame_index, prim, frame, gain, index)
+        _set_values(layer, frame_index, prim, frame, packed, gain, index)
     return layer
 
 
 def _set_values(
-    layer, frame_index: int, prim: str, frame: ParticleFrame | MeshFrame, gain: float, index: float
+    layer,
+    frame_index: int,
+    prim: str,
+    frame: ParticleFrame | MeshFrame,
+    packed: Collection[str],
+    gain: float,
+    index: float,
 ) -> None:
     """Write the samples of one prim at its frame's time code."""
     from pxr import UsdGeom, Vt
 
     values = {}
-    for attribute in attributes_of(prim)[:-1]:
-        if attribute.name == "primvars:displayColor":
+    attributes = with_rows(attributes_of(prim, packed)[:-1])
+    pack = _packed_arrays(frame, gain, index) if prim in packed else {}
+    for attribute in attributes:
+        if attribute.name in pack:
+            array = pack[attribute.name]
+        elif attribute.name == "primvars:displayColor":
             array = display_color(frame.thickness, gain, index)
         elif attribute.name == "faceVertexCounts":
             array = np.full(len(frame.faces), 3, np.int32)
@@ -395,6 +433,19 @@ def _set_values(
         values["extent"] = UsdGeom.Points.ComputeExtent(values["points"], values["widths"])
     for name, value in values.items():
         layer.SetTimeSample(f"/World/{prim}.{name}", float(frame_index), value)
+
+
+def _packed_arrays(frame: ParticleFrame, gain: float, index: float) -> dict[str, np.ndarray]:
+    """What a packed set stores in another form, by attribute."""
+    normals, of_normals = pack_normals(frame.normals)
+    colors, of_colors = pack_colors(frame.thickness, gain, index)
+    return {
+        "widths": round_widths(frame.widths),
+        "primvars:normals": normals,
+        "primvars:normals:indices": of_normals,
+        "primvars:displayColor": colors,
+        "primvars:displayColor:indices": of_colors,
+    }
 
 
 def _add_preview_material(stage, prims: Sequence[str]) -> None:
@@ -416,14 +467,21 @@ def _add_preview_material(stage, prims: Sequence[str]) -> None:
         UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(f"/World/{prim}")).Bind(material)
 
 
-def _root_layer(fps: float, prims: Sequence[str], metadata: dict, origin: Origin, rims: Sequence[np.ndarray]):
+def _root_layer(
+    fps: float,
+    prims: Sequence[str],
+    packed: Collection[str],
+    metadata: dict,
+    origin: Origin,
+    rims: Sequence[np.ndarray],
+):
     """The root without its time range and clips, see `_set_range`."""
     from pxr import Usd
 
     layer = _new_layer(".usda", fps)
     layer.documentation = "Soap film cache. SI units, except primvars:thickness, which is in nanometres."
     layer.customLayerData = {METADATA_KEY: metadata}
-    _declare(layer, prims, origin)
+    _declare(layer, prims, origin, packed)
     if rims:
         _add_rims(layer, rims, origin)
     stage = Usd.Stage.Open(layer)
@@ -487,10 +545,10 @@ def rims_of(root) -> list[np.ndarray]:
     return np.split(points, np.cumsum(counts)[:-1])
 
 
-def _manifest_layer(fps: float, prims: Sequence[str]):
+def _manifest_layer(fps: float, prims: Sequence[str], packed: Collection[str]):
     """What the frames hold."""
     layer = _new_layer(".usda", fps)
-    _declare(layer, prims, fixed=False)
+    _declare(layer, prims, packed=packed, fixed=False)
     return layer
 
 
@@ -532,6 +590,8 @@ class CacheWriter:
         index: refractive index of the film.
         origin: where the points of all frames are measured from, m: the prims are translated there, in float64.
         rims: points [k, 3] along each wire that holds the film, from `origin`, m.
+        packed: sets of particles whose widths, normals and colours are stored with less precision, in half the bytes
+            (packing.py); all else is stored to the bit.
         there: first and last frame of a cache in the folder that goes on; None for a new one. The last may be one
             before the first, for none.
 
@@ -552,6 +612,7 @@ class CacheWriter:
         index: float = WATER_INDEX,
         origin: Origin = (0.0, 0.0, 0.0),
         rims: Sequence[np.ndarray] = (),
+        packed: Collection[str] = (),
         there: tuple[int, int] | None = None,
     ):
         require(np.isscalar(fps) and np.isfinite(fps) and fps > 0.0, "fps", fps, "a number above 0")
@@ -575,13 +636,17 @@ class CacheWriter:
         require(len(origin) == 3 and bool(np.all(np.isfinite(origin))), "origin", origin, "three finite numbers")
         self.directory = Path(directory)
         self._fps, self._prims, self._gain, self._index = float(fps), tuple(prims), float(gain), float(index)
+        self._packed = frozenset(packed)
         self._first: int | None = None
         self._last: int | None = None
         self._origin = tuple(float(x) for x in origin)
-        self._root = _root_layer(self._fps, self._prims, _checked_metadata(metadata) | own, self._origin, rims)
+        own_metadata = _checked_metadata(metadata) | own
+        self._root = _root_layer(self._fps, self._prims, self._packed, own_metadata, self._origin, rims)
         if there is None:
             _claim(self.directory)
-        self.sums = {MANIFEST: _export(_manifest_layer(self._fps, self._prims), self.directory / MANIFEST)}
+        self.sums = {
+            MANIFEST: _export(_manifest_layer(self._fps, self._prims, self._packed), self.directory / MANIFEST)
+        }
         if there is not None and there[0] <= there[1]:
             self._first, self._last = there
             _set_range(self._root, *there)
@@ -615,7 +680,7 @@ class CacheWriter:
                 found == self._origin, f"frame {frame_index} {prim}.origin", found, f"that of the cache, {self._origin}"
             )
         ordered = {prim: frames[prim] for prim in self._prims}
-        layer = _frame_layer(frame_index, self._fps, ordered, self._gain, self._index)
+        layer = _frame_layer(frame_index, self._fps, ordered, self._packed, self._gain, self._index)
         path = frame_path(self.directory, frame_index)
         digests = {f"{FRAMES}/{path.name}": _export(layer, path)}
         first = frame_index if self._first is None else self._first
@@ -631,10 +696,13 @@ class CacheWriter:
 def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> ParticleFrame:
     """Return one particle set of one frame, bit for bit as it was written.
 
+    Of a packed set the widths are in steps, and the normals are those of a surface through the points, see packing.py.
+
     Raises:
         InputError: the frame or prim is not there, the file is damaged, or it holds what `CacheWriter` would not write.
     """
-    return read_prim(directory, frame, prim)
+    read, packed = read_prim(directory, frame, prim)
+    return refine_normals(read) if packed else read
 
 
 def read_mesh(directory: str | os.PathLike, frame: int, region: int = 0) -> MeshFrame:
@@ -643,18 +711,19 @@ def read_mesh(directory: str | os.PathLike, frame: int, region: int = 0) -> Mesh
     Raises:
         InputError: as `read_frame`.
     """
-    return read_prim(directory, frame, surface_prim(region))
+    return read_prim(directory, frame, surface_prim(region))[0]
 
 
-def read_prim(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame | MeshFrame:
-    """Either of them by the prim's name from /World."""
+def read_prim(directory: str | os.PathLike, frame: int, prim: str) -> tuple[ParticleFrame | MeshFrame, bool]:
+    """Either of them by the prim's name from /World, as it is stored; and whether it is packed."""
     path = frame_path(directory, frame)
     layer = open_layer(path)
+    packed = packed_of(layer, [prim])
     arrays = {}
-    for attribute in attributes_of(prim):
+    for attribute in attributes_of(prim, packed):
         if attribute.field is None:
             continue
-        array = read_sample(layer, prim, attribute, frame)
+        array = read_values(layer, prim, attribute, frame)
         if isinstance(array, str):
             raise InputError(f"{path}: /World/{prim}.{attribute.name} {array}")
         arrays[attribute.field] = array
@@ -663,14 +732,27 @@ def read_prim(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFr
             require(len(arrays["faces"]) % 3 == 0, f"{prim}.faces", len(arrays["faces"]), "three corners a face")
             arrays["faces"] = arrays["faces"].reshape(-1, 3)
         read = (MeshFrame if is_mesh(prim) else ParticleFrame)(**arrays, origin=origin_of(layer, prim))
-        _check_arrays(prim, read, attributes_of(prim))
+        _check_arrays(prim, read, attributes_of(prim, packed))
     except (InputError, SimulationError) as error:
         raise InputError(f"{path}: {error}") from None
-    return read
+    return read, bool(packed)
+
+
+def read_values(layer, prim: str, attribute: Attribute, frame: int) -> np.ndarray | str:
+    """The value of an attribute for each particle at a frame, [n] or [n, 3]; or what is wrong with it, in words."""
+    table = read_sample(layer, prim, attribute, frame)
+    if isinstance(table, str) or not attribute.indexed:
+        return table
+    rows = read_sample(layer, prim, attribute.rows, frame)
+    if isinstance(rows, str):
+        return f"indices: {rows}"
+    if len(rows) and not (rows.min() >= 0 and rows.max() < len(table)):
+        return f"has indices from {rows.min()} to {rows.max()}, must be from 0 to {len(table) - 1}"
+    return table[rows]
 
 
 def read_sample(layer, prim: str, attribute: Attribute, frame: int) -> np.ndarray | str:
-    """The value of an attribute at a frame, [n] or [n, 3]; or what is wrong with it, in words."""
+    """The sample of an attribute at a frame, [n] or [n, 3]; or what is wrong with it, in words."""
     from pxr import Vt
 
     try:
@@ -816,9 +898,9 @@ def add_meshes(
         for region, prim in zip(regions, meshes, strict=True):
             mesh = made.get(region) or MeshFrame.empty(origin)
             _check_arrays(f"frame {frame} {prim}", mesh, MESH_ATTRIBUTES)
-            _set_values(layer, frame, prim, mesh, gain, index)
+            _set_values(layer, frame, prim, mesh, (), gain, index)
         sums[f"{FRAMES}/{path.name}"] = _export(layer, path)
-    manifest = _manifest_layer(metadata["framesPerSecond"], [*points, *meshes])
+    manifest = _manifest_layer(metadata["framesPerSecond"], [*points, *meshes], packed_of(root, points))
     sums[MANIFEST] = _export(manifest, directory / MANIFEST)
     _drop_meshes(root)
     _declare(root, meshes, origin)

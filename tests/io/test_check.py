@@ -357,7 +357,7 @@ ROOT_FAULTS = {
         in_root(set_metadata(thicknessUnit="um")),
         ["film.usda: melpWarp.thicknessUnit: is 'um', must be 'nm'"],
     ),
-    "schema": (in_root(set_metadata(schemaVersion=1)), ["film.usda: melpWarp.schemaVersion: is 1, must be 2"]),
+    "schema": (in_root(set_metadata(schemaVersion=1)), ["film.usda: melpWarp.schemaVersion: is 1, must be 3"]),
     "no gain": (in_root(set_metadata(colorGain=None)), ["film.usda: melpWarp.colorGain: missing from customLayerData"]),
     "attribute not in the manifest": (
         in_manifest(remove(f"{FILM}.velocities")),

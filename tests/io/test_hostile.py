@@ -49,7 +49,7 @@ def two_spheres(count=60):
 def sound(tmp_path_factory):
     """A cache of two bubbles with a log."""
     folder = tmp_path_factory.mktemp("sound") / "cache"
-    writer = CacheWriter(folder, 24.0, {"scene": "test", "seed": 1}, ("Film", "FilmE"))
+    writer = CacheWriter(folder, 24.0, {"scene": "test", "seed": 1}, ("Film", "FilmE"), packed=("Film",))
     with (folder / "run.jsonl").open("w") as log:
         for number in range(FRAMES):
             sums = writer.write(number, {"Film": two_spheres(), "FilmE": two_spheres(40)})
@@ -128,7 +128,9 @@ def layer(change_layer):
 
 def spoil_sample(opened, prim, time, rng):
     """An array with a number that cannot be, or too short."""
-    name = rng.choice(["points", "velocities", "ids", "widths", "normals", "primvars:thickness", "primvars:region"])
+    names = ["points", "velocities", "ids", "widths", "normals", "primvars:thickness", "primvars:region"]
+    names += [f"primvars:{name}{rows}" for name in ("normals", "displayColor") for rows in ("", ":indices")]
+    name = rng.choice([name for name in names if opened.GetAttributeAtPath(f"{prim}.{name}")])
     value = opened.QueryTimeSample(f"{prim}.{name}", time)
     array = np.array(value)
     if rng.random() < 0.3:
@@ -141,7 +143,7 @@ def spoil_sample(opened, prim, time, rng):
 
 
 def retype(opened, prim, time, rng):
-    name = rng.choice(["points", "widths", "ids", "primvars:region", "extent"])
+    name = rng.choice(["points", "widths", "ids", "primvars:region", "primvars:displayColor", "extent"])
     spec = opened.GetAttributeAtPath(f"{prim}.{name}")
     owner = spec.owner
     owner.RemoveProperty(spec)

@@ -256,7 +256,7 @@ def run(out, name, *options):
 
 
 def test_a_run_writes_what_the_command_writes_afterwards(tmp_path, capsys):
-    small = ["--set", "e_count=480", "l_per_e=2", "merge_time=0.02", "--frames", "3", "--export", "both"]
+    small = ["--set", "e_count=480", "l_per_e=2", "merge_time=0.02", "--frames", "3", "--export", "both", "--full"]
     assert run(tmp_path / "with", "four_bubbles", *small, "--mesh") == 0
     assert run(tmp_path / "after", "four_bubbles", *small) == 0
     assert "no problem" not in capsys.readouterr().out
@@ -302,7 +302,8 @@ def test_triangles_are_about_as_many_as_asked_for(tmp_path):
 
 
 def test_an_open_run_tells_its_rim(tmp_path):
-    assert run(tmp_path / "run", "drainage", "--set", "e_count=300", "l_per_e=4", "--frames", "2", "--mesh") == 0
+    small = ["--set", "e_count=300", "l_per_e=4", "--frames", "2"]
+    assert run(tmp_path / "run", "drainage", *small, "--mesh", "--full") == 0
     assert check_cache(tmp_path / "run") == []
     with pytest.raises(InputError, match="Region_1"):
         read_mesh(tmp_path / "run", 0, 1)

@@ -8,7 +8,7 @@ from melp_warp import cli
 from melp_warp.errors import InputError
 from melp_warp.estimate import array_bytes, measure_cost
 from melp_warp.registry import load_scene
-from melp_warp.room import LEAST_E, LEAST_L, disk_bytes, parse_size, size_text
+from melp_warp.room import LEAST_E, LEAST_L, Written, parse_size, size_text
 from melp_warp.simulation import Simulation
 
 FEW = ["--set", "e_count=300", "l_per_e=2", "--frames", "3", "--quiet"]
@@ -53,9 +53,9 @@ def test_limits_of_a_run(tmp_path, capsys):
     assert cli.main([*run, "--max-memory", str(need - 1)]) == 2
     one_line(capsys, "300 E and 600 L", "few enough for --max-memory, 1.08 MB")
     assert cli.main([*run, "--max-disk", "100kB"]) == 2
-    one_line(capsys, "a cache of about 144 kB", "few enough for --max-disk, 100 kB")
+    one_line(capsys, "about 623 kB with checkpoints", "few enough for --max-disk, 100 kB")
     assert not out.exists()
-    assert cli.main([*run, "--max-memory", str(need), "--max-disk", "150kB"]) == 0
+    assert cli.main([*run, "--max-memory", str(need), "--max-disk", "650kB"]) == 0
 
 
 @pytest.mark.parametrize("name", ["giant_bubble", "oscillating_bubble", "drainage", "double_bubble"])
@@ -73,8 +73,8 @@ def test_meshes_on_the_disk(tmp_path):
     out = tmp_path / "out"
     assert cli.main(["run", "giant_bubble", "--out", str(out), "--mesh", "--triangles", "4000", *FEW]) == 0
     taken = sum(path.stat().st_size for path in (out / "frames").iterdir()) - 4 * 4000
-    told = disk_bytes(0, 600, 4, 4000)
-    assert size_text(told) == "784 kB"
+    told = Written(mesh=True, triangles=4000).cache_bytes(0, 600, 4)
+    assert size_text(told) == "741 kB"
     assert 0.5 < told / taken < 2.0
 
 

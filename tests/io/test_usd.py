@@ -204,7 +204,7 @@ def test_metadata(tmp_path):
     assert set(versions) == {"melpWarp", "warp", "numpy", "usd"}
     assert versions["usd"] == ".".join(map(str, Usd.GetVersion()))
     assert found == metadata | {
-        "schemaVersion": 2,
+        "schemaVersion": usd.SCHEMA_VERSION,
         "thicknessUnit": "nm",
         "refractiveIndex": 1.4,
         "colorGain": 5.0,

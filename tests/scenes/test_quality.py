@@ -11,7 +11,7 @@ from melp_warp.errors import InputError
 from melp_warp.estimate import array_bytes, measure_cost
 from melp_warp.quality import QUALITIES, Quality, find_quality
 from melp_warp.registry import load_scene, scene_names
-from melp_warp.room import disk_bytes
+from melp_warp.room import Written
 from melp_warp.sampling import make_film
 from melp_warp.simulation import Simulation
 from melp_warp.usd import read_metadata
@@ -127,10 +127,12 @@ def test_estimate_against_a_run(tmp_path, device):
     out = tmp_path / "run"
     settings = ["e_count=250", "l_per_e=4", f"dt={1.0 / 180.0}", "frames=3", "seed=1"]
     assert cli.main(["run", "giant_bubble", "--quiet", "--out", str(out), "--set", *settings]) == 0
-    written = sum(f.stat().st_size for f in (out / "frames").iterdir())
-    overhead = 4 * 2500  # of a frame without particles
-    assert found.disk == disk_bytes(0, 1000, 4)
-    assert written - overhead == pytest.approx(found.disk, rel=0.25)
+    written = sum(f.stat().st_size for f in (out / "frames").iterdir()) + (out / "run.jsonl").stat().st_size
+    assert found.disk == Written().cache_bytes(250, 1000, 4)
+    assert written == pytest.approx(found.disk, rel=0.25)
+    kept = sum(f.stat().st_size for f in out.glob("checkpoint*.npz"))
+    assert found.beside == Written().other_bytes(250, 1000)
+    assert kept == pytest.approx(2.0 / 3.0 * found.beside, rel=0.5)
 
 
 def test_estimate_of_a_scene_that_is_measured_smaller(monkeypatch, device):

@@ -1,0 +1,100 @@
+"""What a cache stores of L in fewer bytes than float32 takes: widths in steps, directions and colours from tables.
+
+USD packs whole numbers and arrays of few different floats, not vectors. So a vector that need not be exact is stored as
+a table of few vectors and the number of one for each particle, an indexed primvar, which any reader of USD takes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from melp_warp.fits import close_pairs
+from melp_warp.frame import ParticleFrame
+from melp_warp.optics import DISPLAY_MAX_THICKNESS, display_color
+
+WIDTH_STEPS = 32
+"""Widths from one power of two to the next: they are off by 1/32 at most."""
+
+COLOR_STEP = 2.0
+"""nm; the colour is that of a film up to half of this thicker or thinner."""
+
+DIRECTIONS = 32
+"""Directions along a side of the square that an octahedron is laid out to: 3 degrees off in the mean square."""
+
+SUPPORT = 3.0
+"""Radius within which the film is fitted, spacings of the particles."""
+
+_SAME_SIDE = 0.5
+"""Least product of the stored normals of particles that lie on one sheet."""
+
+
+def round_widths(widths: np.ndarray) -> np.ndarray:
+    """Widths [n], float32, of few values: those within a step of each other share one, and keep their area together."""
+    mantissa, exponent = np.frexp(widths)
+    step = np.ldexp(np.rint(mantissa * (2 * WIDTH_STEPS)), exponent)
+    known, row = np.unique(step, return_inverse=True)
+    square = np.bincount(row.reshape(-1), widths.astype(np.float64) ** 2, len(known))
+    return np.sqrt(square / np.maximum(np.bincount(row.reshape(-1), minlength=len(known)), 1))[row].astype(np.float32)
+
+
+def shown_thickness(thickness: np.ndarray) -> np.ndarray:
+    """The thickness [n] whose colour a packed set has, nm."""
+    return COLOR_STEP * np.rint(np.minimum(thickness, DISPLAY_MAX_THICKNESS) / COLOR_STEP)
+
+
+def pack_colors(thickness: np.ndarray, gain: float, index: float) -> tuple[np.ndarray, np.ndarray]:
+    """Table [k, 3] of `optics.display_color`, float32, and the row of each particle [n], int32."""
+    known, row = np.unique(shown_thickness(thickness), return_inverse=True)
+    return display_color(known, gain, index), row.reshape(-1).astype(np.int32)
+
+
+def pack_normals(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Table [k, 3] of unit vectors, float32, and the row of each particle [n], int32: a direction near to its normal.
+
+    The sphere is laid out flat as an octahedron (Meyer et al., "On floating-point normal vectors", 2010).
+    """
+    n = np.asarray(normals, dtype=np.float64)
+    flat = n[:, :2] / np.maximum(np.abs(n).sum(axis=1, keepdims=True), 1e-30)
+    flat = np.where(n[:, 2:] < 0.0, (1.0 - np.abs(flat[:, ::-1])) * np.where(flat < 0.0, -1.0, 1.0), flat)
+    most = DIRECTIONS - 1
+    cell = np.clip(np.rint(0.5 * (flat + 1.0) * most), 0, most).astype(np.int32)
+    known, row = np.unique(cell[:, 0] * DIRECTIONS + cell[:, 1], return_inverse=True)
+    at = np.stack([known // DIRECTIONS, known % DIRECTIONS], axis=1) * (2.0 / most) - 1.0
+    up = 1.0 - np.abs(at).sum(axis=1, keepdims=True)
+    at = np.where(up < 0.0, (1.0 - np.abs(at[:, ::-1])) * np.where(at < 0.0, -1.0, 1.0), at)
+    table = np.concatenate([at, up], axis=1)
+    table /= np.linalg.norm(table, axis=1, keepdims=True)
+    return table.astype(np.float32), row.reshape(-1).astype(np.int32)
+
+
+def refine_normals(frame: ParticleFrame) -> ParticleFrame:
+    """The frame with normals of the film that its points lie on, where those it has tell no more than the side.
+
+    The film is fitted at each particle by a quadric over those of the same region that look the same way.
+    """
+    n = len(frame.points)
+    if n == 0:
+        return frame
+    x, normal = frame.points.astype(np.float64), frame.normals.astype(np.float64)
+    radius = SUPPORT * max(float(np.sqrt(0.25 * np.pi * np.mean(frame.widths.astype(np.float64) ** 2))), 1e-9)
+    aside = np.where(np.abs(normal[:, 2:]) > 0.7, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
+    e1 = np.cross(aside, normal)
+    e1 /= np.linalg.norm(e1, axis=1, keepdims=True)
+    e2 = np.cross(normal, e1)
+    matrix, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    for i, j in close_pairs(x, radius):
+        kept = (frame.region[i] == frame.region[j]) & (np.einsum("ij,ij->i", normal[i], normal[j]) > _SAME_SIDE)
+        i, j = i[kept], j[kept]
+        d = (x[j] - x[i]) / radius
+        u, v, w = (np.einsum("ij,ij->i", d, axis[i]) for axis in (e1, e2, normal))
+        weight = (1.0 - np.minimum(np.einsum("ij,ij->i", d, d), 1.0)) ** 2
+        terms = [np.ones_like(u), u, v, u * u, u * v, v * v]
+        for a, term in enumerate(terms):
+            right[:, a] += np.bincount(i, weight * term * w, n)
+            for b in range(a, 6):
+                matrix[:, a, b] += np.bincount(i, weight * term * terms[b], n)
+    matrix += np.triu(matrix, 1).transpose(0, 2, 1) + 1e-6 * np.eye(6)
+    slope = np.linalg.solve(matrix, right[..., None])[:, 1:3]
+    fitted = normal - slope[:, 0] * e1 - slope[:, 1] * e2
+    fitted /= np.linalg.norm(fitted, axis=1, keepdims=True)
+    return ParticleFrame(**{**vars(frame), "normals": fitted.astype(np.float32)})
