@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from melp_warp.errors import InputError
-from melp_warp.frame import MeshFrame, ParticleFrame
+from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
 from melp_warp.packing import refine_normals
 
 PATIENCE = 60.0
@@ -35,7 +35,7 @@ START = 300.0
 MEMORY = 8 << 30
 """Bytes of memory that it may take, besides ten times the size of the file it reads."""
 
-_KINDS = {"Particles": ParticleFrame, "Mesh": MeshFrame}
+_KINDS = {"Particles": ParticleFrame, "Mesh": MeshFrame, "Whole": WholeFrame}
 _ARRAYS = {
     kind: [field.name for field in dataclasses.fields(of) if field.name != "origin"] for kind, of in _KINDS.items()
 }
@@ -161,7 +161,29 @@ def read_mesh(directory: str | os.PathLike, frame: int, region: int = 0) -> Mesh
     return _read(directory, frame, surface_prim(region))
 
 
-def _read(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame | MeshFrame:
+def read_whole(directory: str | os.PathLike, frame: int) -> WholeFrame:
+    """`usd.read_whole`, likewise.
+
+    Raises:
+        InputError: as `usd.read_whole`, or USD hangs or breaks down on the file.
+    """
+    from melp_warp.usd import WHOLE
+
+    return _read(directory, frame, WHOLE)
+
+
+def try_frame(directory: str | os.PathLike, frame: int) -> None:
+    """Read and write a frame with all that is in it, to nowhere: what USD then does again it survives.
+
+    Raises:
+        InputError: the file is damaged, or USD hangs or breaks down on it.
+    """
+    from melp_warp.usd import frame_path
+
+    _ask_once({"call": "try", "directory": str(directory), "frame": frame}, frame_path(directory, frame))
+
+
+def _read(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame | MeshFrame | WholeFrame:
     from melp_warp.usd import frame_path
 
     question = {"call": "frame", "directory": str(directory), "frame": frame, "prim": prim}
@@ -254,11 +276,25 @@ def _answer_frame(question: dict, say) -> None:
         _limit_memory(path.stat().st_size)
     frame, packed = usd.read_prim(question["directory"], question["frame"], question["prim"])
     usd.check_sizes(path, frame)
-    kind = "Mesh" if isinstance(frame, MeshFrame) else "Particles"
+    kind = next(name for name, of in _KINDS.items() if isinstance(frame, of))
     arrays = [np.ascontiguousarray(getattr(frame, name)) for name in _ARRAYS[kind]]
     types, shapes = [str(a.dtype) for a in arrays], [a.shape for a in arrays]
     answer = {"kind": kind, "types": types, "shapes": shapes, "origin": frame.origin, "packed": packed, "done": True}
     say(answer, [a.tobytes() for a in arrays])
+
+
+def _answer_try(question: dict, say) -> None:
+    import tempfile
+
+    from melp_warp import usd
+
+    path = usd.frame_path(question["directory"], question["frame"])
+    if path.is_file():
+        _limit_memory(path.stat().st_size)
+    layer = usd.open_layer(path)
+    with tempfile.TemporaryDirectory() as folder:
+        layer.Export(str(Path(folder) / path.name))
+    say({"done": True})
 
 
 def _answer_root(question: dict, say) -> None:
@@ -285,4 +321,4 @@ def _answer_check(question: dict, say) -> None:
     say({"done": True})
 
 
-_ANSWERS = {"frame": _answer_frame, "root": _answer_root, "check": _answer_check}
+_ANSWERS = {"frame": _answer_frame, "try": _answer_try, "root": _answer_root, "check": _answer_check}

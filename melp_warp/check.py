@@ -11,6 +11,7 @@ import numpy as np
 
 from melp_warp.errors import InputError
 from melp_warp.files import digest
+from melp_warp.frame import WholeFrame
 from melp_warp.optics import display_color
 from melp_warp.packing import shown_thickness
 from melp_warp.usd import (
@@ -25,8 +26,10 @@ from melp_warp.usd import (
     ROOT,
     SCHEMA_VERSION,
     THICKNESS_UNIT,
+    WHOLE,
     Attribute,
     attributes_of,
+    entries_of,
     frame_path,
     is_mesh,
     list_frames,
@@ -447,29 +450,79 @@ def _check_arrays(
     where, problems = f"{name}: /World/{prim}", []
     if "points" not in arrays:
         return problems
-    count = len(arrays["points"])
+    count, faces = len(arrays["points"]), len(arrays.get("faceVertexCounts", ()))
     for attribute in attributes[1:-1]:
-        array = arrays.get(attribute.name)
-        if array is not None and len(array) != count and not attribute.name.startswith("faceVertex"):
-            problems.append(f"{where}.{attribute.name}: {len(array)} values for {count} points")
+        array, wanted = arrays.get(attribute.name), entries_of(attribute, count, faces)
+        if array is not None and len(array) != wanted and not attribute.name.startswith("faceVertex"):
+            what = f"{count} points" if wanted == count else f"{count} points and {faces} faces"
+            problems.append(f"{where}.{attribute.name}: {len(array)} values for {what}")
             del arrays[attribute.name]
     for rule_name, rule in _RULES:
         if rule_name in arrays:
             problems += [f"{where}.{rule_name}: {problem}" for problem in rule(arrays, metadata)]
-    if is_mesh(prim) and {"faceVertexCounts", "faceVertexIndices"} <= set(arrays):
+    if prim == WHOLE and {a.name for a in attributes_of(prim)} <= set(arrays):
+        problems += [f"{where}: {problem}" for problem in _check_whole_arrays(arrays, rims)]
+    elif is_mesh(prim) and prim != WHOLE and {"faceVertexCounts", "faceVertexIndices"} <= set(arrays):
         problems += [f"{where}: {problem}" for problem in check_surface(arrays, rims)]
+    return problems
+
+
+def _check_whole_arrays(arrays: dict, rims: int) -> list[str]:
+    """`check_whole` of what a file says, after what it needs."""
+    problems = _check_corners(arrays)
+    inside, outside = (arrays[f"primvars:{name}"] for name in ("inside", "outside"))
+    if len(inside) and not (
+        0 <= inside.min() and -1 <= outside.min() and max(inside.max(), outside.max()) < MOST_REGIONS
+    ):
+        problems.append(f"primvars:inside and outside: must be regions from 0 to {MOST_REGIONS - 1}, outside or -1")
+    if problems:
+        return problems
+    fields = {a.field: arrays[a.name] for a in attributes_of(WHOLE) if a.field}
+    return check_whole(WholeFrame(**fields | {"faces": fields["faces"].reshape(-1, 3)}), rims)
+
+
+def check_whole(whole: WholeFrame, rims: int = 0) -> list[str]:
+    """What is wrong with the mesh of a whole foam.
+
+    An edge has two faces, three on a border, and one on a rim. Those around each region are one closed surface.
+
+    Args:
+        whole: the mesh.
+        rims: how many rims the film has; only a single region can have some.
+    """
+    n, faces, problems = len(whole.points), whole.faces.astype(np.int64), []
+    ends = np.sort(np.concatenate([faces, np.roll(faces, -1, axis=1)], axis=0).reshape(2, -1).T, axis=1)
+    _, times = np.unique(ends[:, 0] * n + ends[:, 1], return_counts=True)
+    odd = (times > 3) | ((times < 2) & (rims == 0))
+    if odd.any():
+        problems.append(
+            f"{odd.sum()} edges have {', '.join(map(str, np.unique(times[odd])))} faces, must be two or three"
+        )
+    unused = n - len(np.unique(faces))
+    if unused:
+        problems.append(f"{unused} points are in no face")
+    p = whole.points.astype(np.float64)[faces]
+    face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    flipped = np.einsum("ij,ij->i", face, whole.normals.reshape(-1, 3, 3).sum(axis=1, dtype=float)) < 0.0
+    if flipped.any():
+        problems.append(f"{flipped.sum()} faces look away from their film, first {np.argmax(flipped)}")
+    for region in np.setdiff1d(np.union1d(whole.inside, whole.outside), [-1]).tolist():
+        skin = whole.skin(region)
+        arrays = {
+            "points": skin.points,
+            "faceVertexCounts": np.full(len(skin.faces), 3),
+            "faceVertexIndices": skin.faces.reshape(-1),
+        }
+        problems += [f"region {region}: {problem}" for problem in check_surface(arrays, rims)]
     return problems
 
 
 def check_surface(arrays: dict, rims: int) -> list[str]:
     """Triangles that make one closed oriented surface, open at as many rims as the film has; empty for no region."""
-    counts, corners, n = arrays["faceVertexCounts"], arrays["faceVertexIndices"], len(arrays["points"])
-    if (counts != 3).any() or 3 * len(counts) != len(corners):
-        return [f"faceVertexCounts: {len(counts)} faces for {len(corners)} corners, must be triangles"]
-    if len(corners) and not (corners.min() >= 0 and corners.max() < n):
-        return [f"faceVertexIndices: from {corners.min()} to {corners.max()}, must be from 0 to {n - 1}"]
-    if n == 0:
-        return []
+    corners, n = arrays["faceVertexIndices"], len(arrays["points"])
+    wrong = _check_corners(arrays)
+    if wrong or n == 0:
+        return wrong
     faces = corners.reshape(-1, 3).astype(np.int64)
     problems = []
     unused = n - len(np.unique(corners))
@@ -494,6 +547,16 @@ def check_surface(arrays: dict, rims: int) -> list[str]:
         if flipped.any():
             problems.append(f"{flipped.sum()} faces look inwards, first {np.argmax(flipped)}")
     return problems
+
+
+def _check_corners(arrays: dict) -> list[str]:
+    """Triangles of points that are there."""
+    counts, corners, n = arrays["faceVertexCounts"], arrays["faceVertexIndices"], len(arrays["points"])
+    if (counts != 3).any() or 3 * len(counts) != len(corners):
+        return [f"faceVertexCounts: {len(counts)} faces for {len(corners)} corners, must be triangles"]
+    if len(corners) and not (corners.min() >= 0 and corners.max() < n):
+        return [f"faceVertexIndices: from {corners.min()} to {corners.max()}, must be from 0 to {n - 1}"]
+    return []
 
 
 def _pieces(start: np.ndarray, end: np.ndarray, n: int) -> np.ndarray:

@@ -175,6 +175,9 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     run.add_argument(
         "--triangles", metavar="N", type=int, help="triangles of all meshes of a frame, about; asks for --mesh"
     )
+    run.add_argument(
+        "--whole", action="store_true", help="write one mesh for the whole foam, partitions once; asks for --mesh"
+    )
     run.add_argument("--start", metavar="N", type=int, help="number of the first frame (default: 0)")
     over = run.add_mutually_exclusive_group()
     over.add_argument("--resume", action="store_true", help="go on with the run in DIR, or extend it to more --frames")
@@ -270,6 +273,7 @@ def _add_mesh(commands: argparse._SubParsersAction) -> None:
     )
     mesh.add_argument("folder", metavar="DIR", type=_path, help="folder that a run wrote, with E")
     mesh.add_argument("--triangles", metavar="N", type=int, help="triangles of a frame, about (default: as many as L)")
+    mesh.add_argument("--whole", action="store_true", help="one mesh for the whole foam, partitions once")
     mesh.set_defaults(command=_mesh)
 
 
@@ -343,8 +347,9 @@ def _run(options: argparse.Namespace) -> int:
     writes = {
         "export": options.export,
         "full": options.full or None,
-        "mesh": True if options.mesh or options.triangles is not None else None,
+        "mesh": True if options.mesh or options.whole or options.triangles is not None else None,
         "triangles": options.triangles,
+        "whole": options.whole or None,
         "first": options.start,
         "budget": False if options.no_budget else None,
     }
@@ -358,7 +363,7 @@ def _run(options: argparse.Namespace) -> int:
         writes = options_of(start, writes, same=options.resume)
     else:
         values = quality.values(script, given)
-        writes = {"full": False, "mesh": False, "first": 0, "budget": True} | {
+        writes = {"full": False, "mesh": False, "whole": False, "first": 0, "budget": True} | {
             k: v for k, v in writes.items() if v is not None
         }
     budget = writes.pop("budget")
@@ -452,7 +457,7 @@ def _preview(options: argparse.Namespace) -> int:
 def _mesh(options: argparse.Namespace) -> int:
     from melp_warp import runner
 
-    problems = runner.mesh_cache(options.folder, options.triangles)
+    problems = runner.mesh_cache(options.folder, options.triangles, options.whole)
     for problem in problems:
         print(problem)
     if problems:

@@ -72,3 +72,52 @@ class MeshFrame:
         """The mesh of a region that is not there."""
         none = np.zeros((0, 3), np.float32)
         return cls(none, none, none, none[:, 0], np.zeros(0, np.int32), np.zeros((0, 3), np.int32), origin)
+
+
+@dataclass
+class WholeFrame:
+    """One mesh of a whole foam at one instant, partitions once and borders shared. SI units, except thickness (nm).
+
+    Attributes:
+        points: [n, 3] float32, m, from `origin`.
+        velocities: [n, 3] float32, m/s, of the points.
+        normals: [3 f, 3] float32, unit normals at the corners of each face, out of the region inside.
+        thickness: [3 f] float32, nm, at the corners: of both sheets together in a partition.
+        black_film: [3 f] int32, 1 where the film is Newton black film.
+        faces: [f, 3] int32, corners, counterclockwise seen from outside.
+        inside: [f] int32, the region that each face looks out of.
+        outside: [f] int32, the one that it looks into, a higher number; -1 for the air around the foam.
+        origin: where the points are measured from, m; the same in all frames of a run.
+    """
+
+    points: np.ndarray
+    velocities: np.ndarray
+    normals: np.ndarray
+    thickness: np.ndarray
+    black_film: np.ndarray
+    faces: np.ndarray
+    inside: np.ndarray
+    outside: np.ndarray
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> WholeFrame:
+        """The mesh of a foam without bubbles."""
+        none, numbers = np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
+        return cls(none, none, none, none[:, 0], numbers, np.zeros((0, 3), np.int32), numbers, numbers, origin)
+
+    def skin(self, region: int) -> MeshFrame:
+        """The faces around a region, looking out of it; normals are means of the films at a vertex."""
+        out, into = self.inside == region, self.outside == region
+        faces = np.concatenate([self.faces[out], self.faces[into][:, ::-1]])
+        corner = np.arange(3 * len(self.faces)).reshape(-1, 3)
+        corners = np.concatenate([corner[out], corner[into][:, ::-1]]).reshape(-1)
+        sign = np.repeat([1.0, -1.0], [3 * out.sum(), 3 * into.sum()])[:, None]
+        used, at = np.unique(faces, return_inverse=True)
+        normals = np.zeros((len(used), 3))
+        np.add.at(normals, at.reshape(-1), sign * self.normals[corners])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        thickness, black = np.zeros(len(used), np.float32), np.zeros(len(used), np.int32)
+        thickness[at.reshape(-1)], black[at.reshape(-1)] = self.thickness[corners], self.black_film[corners]
+        arrays = self.points[used], self.velocities[used], normals.astype(np.float32), thickness, black
+        return MeshFrame(*arrays, at.reshape(-1, 3).astype(np.int32), self.origin)

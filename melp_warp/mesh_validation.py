@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from melp_warp.check import check_surface
-from melp_warp.frame import MeshFrame, ParticleFrame
+from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
 from melp_warp.mesh import make_meshes
 from melp_warp.shapes import Jittered, Samples, Shape, Sphere
 
@@ -28,7 +28,7 @@ def frame_of(samples: Samples, thickness: np.ndarray | float = 400.0) -> Particl
     )
 
 
-def face_vectors(mesh: MeshFrame) -> np.ndarray:
+def face_vectors(mesh: MeshFrame | WholeFrame) -> np.ndarray:
     """[f, 3] area times normal of each triangle, m^2."""
     a, b, c = (mesh.points.astype(np.float64)[mesh.faces[:, k]] for k in range(3))
     return 0.5 * np.cross(b - a, c - a)
@@ -54,6 +54,19 @@ def liquid_of(mesh: MeshFrame) -> float:
 def liquid_in(frame: ParticleFrame) -> float:
     """Liquid of particles, nm m^2."""
     return float((0.25 * np.pi * frame.widths.astype(float) ** 2 * frame.thickness).sum())
+
+
+def whole_areas(whole: WholeFrame) -> dict[tuple[int, int], float]:
+    """Area of each film by the regions on its two sides, m^2."""
+    area = np.linalg.norm(face_vectors(whole), axis=1)
+    pairs, which = np.unique(np.stack([whole.inside, whole.outside], axis=1), axis=0, return_inverse=True)
+    return dict(zip(map(tuple, pairs.tolist()), np.bincount(which.reshape(-1), area).tolist(), strict=True))
+
+
+def whole_liquid(whole: WholeFrame) -> float:
+    """Integral of the thickness, nm m^2."""
+    mean = whole.thickness.reshape(-1, 3).mean(axis=1, dtype=float)
+    return float((np.linalg.norm(face_vectors(whole), axis=1) * mean).sum())
 
 
 def problems_of(mesh: MeshFrame, rims: int = 0) -> list[str]:

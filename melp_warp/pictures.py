@@ -86,7 +86,7 @@ class Cache:
 
     def __init__(self, folder: Path, particles: bool = False):
         from melp_warp.apart import read_root
-        from melp_warp.usd import list_frames
+        from melp_warp.usd import WHOLE, list_frames
 
         self.folder, self.frames = Path(folder), list_frames(folder)
         require(bool(self.frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
@@ -94,6 +94,7 @@ class Cache:
         self.fps = root["framesPerSecond"]
         self._rims, self._floors = [np.array(rim) for rim in root["rims"]], root["floors"]
         self._meshes = [int(p.rsplit("_", 1)[1]) for p in root["prims"] if re.fullmatch(r"FilmSurface/Region_\d+", p)]
+        self._whole = WHOLE in root["prims"]
         self._with_e, self._with_l, self._l_per_e = "FilmE" in root["prims"], root["with_l"], root["l_per_e"]
         self._particles = particles
 
@@ -103,6 +104,8 @@ class Cache:
         from melp_warp.mesh import FOLDED, make_meshes, thin_out
         from melp_warp.surface import Surface
 
+        if self._whole and not self._particles:
+            return Surface.of_whole(apart.read_whole(self.folder, frame), self._rims, self._floors)
         if self._meshes and not self._particles:
             meshes = {k: apart.read_mesh(self.folder, frame, k) for k in self._meshes}
             return Surface(meshes, self._rims, self._floors)

@@ -32,7 +32,15 @@ _LEFTOVER = re.compile(r"\..+\.tmp\.[a-z]+")
 NAMES = {"first": "start", "budget": "no-budget"}
 """Options of the command line that have another name."""
 
-OPTIONS = {"export": str | None, "full": bool, "mesh": bool, "triangles": int | None, "first": int, "budget": bool}
+OPTIONS = {
+    "export": str | None,
+    "full": bool,
+    "mesh": bool,
+    "triangles": int | None,
+    "whole": bool,
+    "first": int,
+    "budget": bool,
+}
 """What a run writes besides the numbers of its scene, see `Start`."""
 
 
@@ -45,7 +53,7 @@ class Start:
         folder: that of the run that wrote it.
         scene: name of its scene.
         parameters: keys and values of the scene; None for "auto".
-        options: what it writes, by the names of `runner.Plan`: export, full, mesh, triangles, first; and budget.
+        options: what it writes, by the names of `runner.Plan`: export, full, mesh, triangles, whole, first; and budget.
         frame: number of the checkpoint's frame.
         line: what the log says of that frame; without "sha256" where the frame was not written.
         empty_from: see `runner._Output`.
@@ -82,6 +90,8 @@ class Start:
         }
         right = isinstance(run, dict) and set(run) == set(kinds)
         right = right and all(isinstance(run[name], kind) for name, kind in kinds.items()) and _is_plain(run["line"])
+        if right:  # runs from before there were such meshes do not say
+            run = {**run, "options": {"whole": False, **run["options"]}}
         if not right or set(run["options"]) != set(OPTIONS) or run["options"]["export"] not in (None, "l", "e", "both"):
             raise InputError(f"checkpoint {path} was not written by a run of the command line")
         for name, kind in OPTIONS.items():

@@ -11,7 +11,7 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -95,6 +95,7 @@ class Plan:
         strict: whether a run that has notices (`melp_warp.notices`) counts as failed.
         mesh: whether to write a surface mesh of each region.
         triangles: how many a frame's meshes are to have in all, about; None for as many as there are L.
+        whole: whether to write one mesh of the whole foam in their place.
         first: number of the first frame.
         every: when to write checkpoints.
         overwrite: whether `out` may hold a run, which is removed then.
@@ -114,6 +115,7 @@ class Plan:
     strict: bool = False
     mesh: bool = False
     triangles: int | None = None
+    whole: bool = False
     first: int = 0
     every: Every = Every()
     overwrite: bool = False
@@ -130,7 +132,7 @@ def run(plan: Plan) -> int:
     """Carry out a run.
 
     The first frame is the initial state. /World/Film holds L, or E where the scene has no L or only E are exported.
-    What else is asked for goes to /World/FilmE and, meshes, to /World/FilmSurface/Region_k.
+    What else is asked for goes to /World/FilmE and, meshes, to /World/FilmSurface/Region_k or /World/FilmSurface/Whole.
 
     Returns:
         0; 1 where the plan is strict and there are notices; 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP. The
@@ -368,7 +370,7 @@ class _Output:
     """
 
     def __init__(self, plan: Plan, simulation: Simulation):
-        from melp_warp.usd import CacheWriter, store_floors, surface_prim
+        from melp_warp.usd import CacheWriter, store_floors
 
         self._folder, self._plan = plan.out, plan
         self.empty_from: int | None = plan.start.empty_from if plan.start else None
@@ -385,7 +387,8 @@ class _Output:
         self._rims = [rim - np.array(origin) for rim in plan.scene.shape.edges()]
         floors = [wall for wall in getattr(plan.scene.shape, "walls", ()) if not wall.pops]
         metadata |= store_floors([(np.subtract(wall.point, origin), wall.normal) for wall in floors])
-        prims = [*self._sets, *(surface_prim(k) for k in _all_regions(plan.scene) if plan.mesh)]
+        self._surfaces = _mesh_prims(_all_regions(plan.scene), plan.whole) if plan.mesh else []
+        prims = [*self._sets, *self._surfaces]
         packed = [prim for prim, which in self._sets.items() if which == "l" and not plan.full]
         there = cut_back(plan.start) if plan.goes_on else None
         if plan.overwrite:
@@ -423,13 +426,11 @@ class _Output:
 
     def _meshes(self, sets: Mapping[str, ParticleFrame]) -> tuple[dict, list[str]]:
         """The meshes of the present frame by prim, and what could not be closed."""
-        from melp_warp.frame import MeshFrame
-        from melp_warp.mesh import make_meshes
-        from melp_warp.usd import surface_prim
+        from melp_warp.usd import frame_kind
 
-        made, problems = make_meshes(sets["e"], sets.get("l"), self._rims, self._plan.triangles)
-        regions = _all_regions(self._plan.scene)
-        return {surface_prim(k): made.get(k) or MeshFrame.empty(sets["e"].origin) for k in regions}, problems
+        plan, e = self._plan, sets["e"]
+        made, problems = _make_surfaces(e, sets.get("l"), self._rims, plan.triangles, plan.whole)
+        return {prim: made.get(prim) or frame_kind(prim).empty(e.origin) for prim in self._surfaces}, problems
 
     def _log(self, line: Mapping) -> None:
         """Append a line to the log, whole or not at all."""
@@ -453,7 +454,7 @@ class _Output:
         run = {
             "scene": plan.name,
             "parameters": dict(plan.parameters),
-            "options": {name: getattr(plan, name) for name in ("export", "full", "mesh", "triangles", "first")}
+            "options": {name: getattr(plan, name) for name in ("export", "full", "mesh", "triangles", "whole", "first")}
             | {"budget": plan.scene.budget},
             "frame": self._line["frame"],
             "line": self._line,
@@ -533,12 +534,13 @@ def write_blender(folder: Path) -> Path:
     return write_script(folder)
 
 
-def mesh_cache(folder: Path, triangles: int | None = None) -> list[str]:
+def mesh_cache(folder: Path, triangles: int | None = None, whole: bool = False) -> list[str]:
     """Put surface meshes into the frames of a cache, in place of those that are there.
 
     Args:
         folder: folder of the cache.
         triangles: how many a frame's meshes are to have in all, about; None for as many as there are L.
+        whole: whether to make one mesh of the whole foam instead.
 
     Returns:
         What could not be closed, a line each with frame and region.
@@ -548,12 +550,12 @@ def mesh_cache(folder: Path, triangles: int | None = None) -> list[str]:
     """
     _check_triangles(triangles)
     _start_warp()
-    from melp_warp.apart import read_frame, read_root
-    from melp_warp.mesh import make_meshes
+    from melp_warp.apart import read_frame, read_root, try_frame
     from melp_warp.usd import add_meshes, list_frames
 
-    root, frames = read_root(folder), list_frames(folder)
+    frames = list_frames(folder)
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
+    root = read_root(folder)
     require(
         not root["with_l"] or "FilmE" in root["prims"],
         "DIR",
@@ -565,13 +567,37 @@ def mesh_cache(folder: Path, triangles: int | None = None) -> list[str]:
     rims, problems = [np.array(rim) for rim in root["rims"]], []
 
     def make(frame: int):
+        try_frame(folder, frame)
         lagrangian = read_frame(folder, frame) if root["with_l"] else None
-        meshes, found = make_meshes(read_frame(folder, frame, source), lagrangian, rims, triangles)
+        e = read_frame(folder, frame, source)
+        meshes, found = _make_surfaces(e, lagrangian, rims, triangles, whole)
         problems.extend(f"frame {frame}: {problem}" for problem in found)
         return meshes
 
-    _renew_sums(folder, add_meshes(folder, make, regions))
+    _renew_sums(folder, add_meshes(folder, make, _mesh_prims(regions, whole)))
     return problems
+
+
+def _mesh_prims(regions: Sequence[int], whole: bool) -> list[str]:
+    """Names of the meshes of these regions from /World."""
+    from melp_warp.usd import WHOLE, surface_prim
+
+    return [WHOLE] if whole else [surface_prim(region) for region in regions]
+
+
+def _make_surfaces(
+    e: ParticleFrame, lagrangian: ParticleFrame | None, rims: Sequence, triangles: int | None, whole: bool
+) -> tuple[dict, list[str]]:
+    """The meshes of a frame by prim, and what could not be closed."""
+    from melp_warp.mesh import make_meshes
+    from melp_warp.usd import WHOLE, surface_prim
+    from melp_warp.whole import make_whole
+
+    if whole:
+        mesh, problems = make_whole(e, lagrangian, rims, triangles)
+        return {WHOLE: mesh}, problems
+    made, problems = make_meshes(e, lagrangian, rims, triangles)
+    return {surface_prim(region): mesh for region, mesh in made.items()}, problems
 
 
 def _renew_sums(folder: Path, sums: Mapping[str, str]) -> None:

@@ -18,7 +18,7 @@ from PIL import Image
 
 from melp_warp import optics
 from melp_warp.errors import InputError, require
-from melp_warp.frame import MeshFrame
+from melp_warp.frame import MeshFrame, WholeFrame
 from melp_warp.kernels import raster as kr
 from melp_warp.kernels.render import find_tile_ends
 from melp_warp.launch import launch
@@ -61,14 +61,17 @@ class Surface:
     """A film at one instant, to be drawn.
 
     Attributes:
-        meshes: by region; empty ones are left out.
+        meshes: by region, or by film where `lines` are given; empty ones are left out.
         rims: points [k, 3] along each wire, m, closed.
         floors: point and normal, into the room, of each plate, m.
+        lines: ends [k, 2, 3] of the pieces of all borders, m, and the radius of the smallest bubble there [k], m; None
+            to find them, and to take sheets that touch for one film.
     """
 
     meshes: Mapping[int, MeshFrame]
     rims: Sequence[np.ndarray] = ()
     floors: Sequence[tuple[Sequence[float], Sequence[float]]] = ()
+    lines: tuple[np.ndarray, np.ndarray] | None = None
     points: np.ndarray = field(init=False)
     normals: np.ndarray = field(init=False)
     thickness: np.ndarray = field(init=False)
@@ -87,6 +90,20 @@ class Surface:
         )
         self.region = np.repeat(np.arange(len(kept), dtype=np.int32), np.diff(first))
 
+    @classmethod
+    def of_whole(cls, whole: WholeFrame, rims: Sequence[np.ndarray] = (), floors: Sequence[tuple] = ()) -> Surface:
+        """The films of one mesh of a whole foam, and the borders that three of them share."""
+        films, which = np.unique(whole.inside * (whole.outside.max(initial=0) + 2) + whole.outside, return_inverse=True)
+        corner, meshes = np.arange(3 * len(whole.faces)).reshape(-1, 3), {}
+        for film in range(len(films)):
+            mine = which == film
+            used, first, at = np.unique(whole.faces[mine], return_index=True, return_inverse=True)
+            some = corner[mine].reshape(-1)[first]
+            carried = whole.normals[some], whole.thickness[some], whole.black_film[some]
+            arrays = whole.points[used], whole.velocities[used], *carried, at.reshape(-1, 3).astype(np.int32)
+            meshes[film] = MeshFrame(*arrays, whole.origin)
+        return cls(meshes, rims, floors, _shared_edges(whole))
+
     @property
     def regions(self) -> int:
         """Bubbles that are there."""
@@ -97,6 +114,24 @@ class Surface:
         a, b, c = (self.points.astype(np.float64)[self.faces[:, k]] for k in range(3))
         area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
         return np.sqrt(np.bincount(self.region[self.faces[:, 0]], area, minlength=self.regions) / (4.0 * np.pi))
+
+
+def _shared_edges(whole: WholeFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of three films [k, 2, 3], m, and the radius of a sphere of the area of the smallest bubble there [k], m."""
+    faces = whole.faces
+    n, other = len(whole.points), np.roll(faces, -1, axis=1)
+    key = np.minimum(faces, other).astype(np.int64) * n + np.maximum(faces, other)
+    key, which, times = np.unique(key, return_inverse=True, return_counts=True)
+    a, b, c = (whole.points.astype(np.float64)[faces[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    many = 2 + int(max(whole.inside.max(initial=0), whole.outside.max(initial=0)))
+    held = sum(np.bincount(side + 1, area, minlength=many)[1:] for side in (whole.inside, whole.outside))
+    radius = np.append(np.sqrt(held / (4.0 * np.pi)), np.inf)  # the last one for -1
+    least = np.full(len(key), np.inf)
+    smaller = np.minimum(radius[whole.inside], radius[whole.outside])
+    np.minimum.at(least, which.reshape(-1), np.repeat(smaller, 3))
+    ends = np.stack([key // max(n, 1), key % max(n, 1)], axis=1)[times == 3]
+    return whole.points.astype(np.float64)[ends], least[times == 3]
 
 
 def borders(surface: Surface, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -112,6 +147,9 @@ def borders(surface: Surface, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray
     Returns:
         Ends of pieces of line [k, 2, 3], m, their radius [k], m, and where sheets part, over the radius of a bubble.
     """
+    if surface.lines is not None:
+        ends, size = surface.lines
+        return ends.astype(np.float32), (BORDER * size).astype(np.float32), 0.0
     if surface.regions < 2:
         return np.zeros((0, 2, 3), np.float32), np.zeros(0, np.float32), SPLIT[0]
     other, gap = _neighbors(surface, radii)

@@ -26,7 +26,7 @@ import numpy as np
 import melp_warp
 from melp_warp.errors import InputError, SimulationError, require
 from melp_warp.files import digest, replacing
-from melp_warp.frame import MeshFrame, ParticleFrame
+from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
 from melp_warp.optics import DISPLAY_GAIN, WATER_INDEX, display_color
 from melp_warp.packing import pack_colors, pack_normals, refine_normals, round_widths
 
@@ -68,7 +68,7 @@ class Attribute(NamedTuple):
 
     Attributes:
         name: USD attribute name.
-        field: field of `ParticleFrame` or `MeshFrame`; None where it is derived.
+        field: field of `ParticleFrame`, `MeshFrame` or `WholeFrame`; None where it is derived.
         type_name: USD value type.
         array: name of the `pxr.Vt` array class.
         dtype: NumPy type.
@@ -121,9 +121,27 @@ MESH_ATTRIBUTES = (
     *(_SHARED[f"primvars:{name}"] for name in ("thickness", "blackFilm", "displayColor")),
     _SHARED["extent"],
 )
-"""Every attribute of a mesh prim, likewise."""
+"""Every attribute of the mesh of a region, likewise."""
+
+WHOLE_ATTRIBUTES = (
+    *(_SHARED[name] for name in ("points", "velocities")),
+    *(attribute for attribute in MESH_ATTRIBUTES if attribute.name.startswith("faceVertex")),
+    *(
+        _SHARED[name]._replace(interpolation="faceVarying")
+        for name in ("normals", "primvars:thickness", "primvars:blackFilm", "primvars:displayColor")
+    ),
+    *(
+        Attribute(f"primvars:{name}", name, "int[]", "IntArray", np.int32, 1, "uniform")
+        for name in ("inside", "outside")
+    ),
+    _SHARED["extent"],
+)
+"""Every attribute of the mesh of a whole foam, likewise: on a border a film has a thickness and a normal of its own."""
 
 SURFACE = "FilmSurface"
+WHOLE = f"{SURFACE}/Whole"
+"""Name under /World of the mesh of a whole foam."""
+
 RIM = "Rim"
 _NAMES_TAKEN = ("Looks", RIM, SURFACE)
 
@@ -140,6 +158,8 @@ def is_mesh(prim: str) -> bool:
 
 def attributes_of(prim: str, packed: Collection[str] = ()) -> tuple[Attribute, ...]:
     """The attributes of a prim of a cache, of which some sets are packed."""
+    if prim == WHOLE:
+        return WHOLE_ATTRIBUTES
     return MESH_ATTRIBUTES if is_mesh(prim) else PACKED_ATTRIBUTES if prim in packed else ATTRIBUTES
 
 
@@ -151,6 +171,21 @@ def with_rows(attributes: Sequence[Attribute]) -> list[Attribute]:
 def packed_of(layer, prims: Sequence[str]) -> set[str]:
     """The sets that are packed in a layer."""
     return {prim for prim in prims if layer.GetAttributeAtPath(f"/World/{prim}.{PACKED_NORMALS.name}")}
+
+
+def frame_kind(prim: str) -> type[ParticleFrame] | type[MeshFrame] | type[WholeFrame]:
+    """What a prim of a cache holds in a frame."""
+    if prim == WHOLE:
+        return WholeFrame
+    return MeshFrame if is_mesh(prim) else ParticleFrame
+
+
+def entries_of(attribute: Attribute, points: int, faces: int) -> int:
+    """How many values an attribute has: one a point, corner or face."""
+    if attribute.name == "faceVertexIndices":
+        return 3 * faces
+    counts = {"faceVarying": 3 * faces, "uniform": faces}
+    return faces if attribute.name == "faceVertexCounts" else counts.get(attribute.interpolation, points)
 
 
 def prims_of(layer) -> list[str]:
@@ -178,14 +213,18 @@ def list_frames(directory: str | os.PathLike) -> list[int]:
 # --- checks before anything is written -----------------------------------------------------------------------------
 
 
-def _check_arrays(label: str, frame: ParticleFrame | MeshFrame, attributes: Sequence[Attribute]) -> None:
+Frame = ParticleFrame | MeshFrame | WholeFrame
+
+
+def _check_arrays(label: str, frame: Frame, attributes: Sequence[Attribute]) -> None:
     """Refuse what USD would take silently: wrong shapes and types, NaN, negative thickness, no such corner."""
-    count = len(frame.points)
+    count, meshed = len(frame.points), not isinstance(frame, ParticleFrame)
+    many = len(frame.faces) if meshed and isinstance(frame.faces, np.ndarray) else 0
     stored = [attribute for attribute in attributes if attribute.field]
     for attribute in stored:
         array = getattr(frame, attribute.field)
         faces = attribute.field == "faces"
-        rows = len(array) if faces and isinstance(array, np.ndarray) else count
+        rows = many if faces else entries_of(attribute, count, many)
         shape = (rows, 3) if faces or attribute.columns == 3 else (rows,)
         dtype = str(np.dtype(attribute.dtype))
         got = (array.shape, str(array.dtype)) if isinstance(array, np.ndarray) else type(array).__name__
@@ -201,7 +240,7 @@ def _check_arrays(label: str, frame: ParticleFrame | MeshFrame, attributes: Sequ
         if len(array) and array.min() < 0.0:
             at = int(np.argmin(array))
             raise SimulationError(f"{label}.{field} is negative at {_name_of(frame, at)}: {array[at]}")
-    if isinstance(frame, MeshFrame):
+    if meshed:
         low, high = frame.faces.min(initial=0), frame.faces.max(initial=-1)
         require(low >= 0 and high < count, f"{label}.faces", (int(low), int(high)), f"corners from 0 to {count - 1}")
         return
@@ -211,8 +250,8 @@ def _check_arrays(label: str, frame: ParticleFrame | MeshFrame, attributes: Sequ
         require(False, f"{label}.ids", frame.ids[at : at + 2].tolist(), "ascending, each once")
 
 
-def _name_of(frame: ParticleFrame | MeshFrame, at: int) -> str:
-    return f"particle id {frame.ids[at]}" if isinstance(frame, ParticleFrame) else f"vertex {at}"
+def _name_of(frame: Frame, at: int) -> str:
+    return f"particle id {frame.ids[at]}" if isinstance(frame, ParticleFrame) else f"entry {at}"
 
 
 def _checked_metadata(metadata: Mapping, name: str = "metadata") -> dict:
@@ -405,7 +444,7 @@ def _set_values(
     layer,
     frame_index: int,
     prim: str,
-    frame: ParticleFrame | MeshFrame,
+    frame: Frame,
     packed: Collection[str],
     gain: float,
     index: float,
@@ -584,8 +623,9 @@ class CacheWriter:
         metadata: stored in the root's customLayerData under "melpWarp". Needs "scene" (text) and "seed" (whole
             number); may hold more text, bools, numbers and mappings of these. Schema version, thickness unit,
             refractive index, colour gain and program versions are added.
-        prims: names of the prims under /World: point prims, "Film" first, then meshes (`surface_prim`). Particles
-            have purpose "guide" where there are meshes, and other sets ("FilmE") always: viewers show them on demand.
+        prims: names of the prims under /World: point prims, "Film" first, then meshes (`surface_prim`, `WHOLE`).
+            Particles have purpose "guide" where there are meshes, and other sets ("FilmE") always: viewers show them
+            on demand.
         gain: factor on the reflectance in displayColor.
         index: refractive index of the film.
         origin: where the points of all frames are measured from, m: the prims are translated there, in float64.
@@ -652,7 +692,7 @@ class CacheWriter:
             _set_range(self._root, *there)
             self.sums[ROOT] = _export(self._root, self.directory / ROOT)
 
-    def write(self, frame_index: int, frames: Mapping[str, ParticleFrame | MeshFrame]) -> dict[str, str]:
+    def write(self, frame_index: int, frames: Mapping[str, Frame]) -> dict[str, str]:
         """Add one frame and bring the root up to date.
 
         Args:
@@ -714,7 +754,16 @@ def read_mesh(directory: str | os.PathLike, frame: int, region: int = 0) -> Mesh
     return read_prim(directory, frame, surface_prim(region))[0]
 
 
-def read_prim(directory: str | os.PathLike, frame: int, prim: str) -> tuple[ParticleFrame | MeshFrame, bool]:
+def read_whole(directory: str | os.PathLike, frame: int) -> WholeFrame:
+    """Return the mesh of the whole foam in one frame, bit for bit as it was written.
+
+    Raises:
+        InputError: as `read_frame`.
+    """
+    return read_prim(directory, frame, WHOLE)[0]
+
+
+def read_prim(directory: str | os.PathLike, frame: int, prim: str) -> tuple[Frame, bool]:
     """Either of them by the prim's name from /World, as it is stored; and whether it is packed."""
     path = frame_path(directory, frame)
     layer = open_layer(path)
@@ -731,7 +780,7 @@ def read_prim(directory: str | os.PathLike, frame: int, prim: str) -> tuple[Part
         if is_mesh(prim):
             require(len(arrays["faces"]) % 3 == 0, f"{prim}.faces", len(arrays["faces"]), "three corners a face")
             arrays["faces"] = arrays["faces"].reshape(-1, 3)
-        read = (MeshFrame if is_mesh(prim) else ParticleFrame)(**arrays, origin=origin_of(layer, prim))
+        read = frame_kind(prim)(**arrays, origin=origin_of(layer, prim))
         _check_arrays(prim, read, attributes_of(prim, packed))
     except (InputError, SimulationError) as error:
         raise InputError(f"{path}: {error}") from None
@@ -829,7 +878,7 @@ def floors_of(metadata: Mapping) -> list[tuple[list[float], list[float]]]:
     return found
 
 
-def check_sizes(path: Path, frame: ParticleFrame | MeshFrame) -> None:
+def check_sizes(path: Path, frame: Frame) -> None:
     """Refuse numbers with which nothing can be drawn or measured, though they can be stored.
 
     Raises:
@@ -840,6 +889,11 @@ def check_sizes(path: Path, frame: ParticleFrame | MeshFrame) -> None:
     for name in ("points", "velocities", "widths", "normals", "thickness"):
         largest = float(np.abs(getattr(frame, name, np.zeros(1))).max())
         require(largest <= LARGEST, f"{path}: {name}", largest, f"at most {LARGEST:g}")
+    if isinstance(frame, WholeFrame) and len(frame.faces):
+        low, high = int(min(frame.inside.min(), frame.outside.min())), int(max(frame.inside.max(), frame.outside.max()))
+        require(
+            -1 <= low <= high < MOST_REGIONS, f"{path}: inside and outside", [low, high], f"-1 to {MOST_REGIONS - 1}"
+        )
     if isinstance(frame, ParticleFrame):
         low, high = int(frame.region.min()), int(frame.region.max())
         require(0 <= low <= high < MOST_REGIONS, f"{path}: region", [low, high], f"from 0 to {MOST_REGIONS - 1}")
@@ -865,7 +919,7 @@ def refers_to(layer) -> list[str]:
 
 
 def add_meshes(
-    directory: str | os.PathLike, make: Callable[[int], Mapping[int, MeshFrame]], regions: Sequence[int]
+    directory: str | os.PathLike, make: Callable[[int], Mapping[str, MeshFrame | WholeFrame]], meshes: Sequence[str]
 ) -> dict[str, str]:
     """Put meshes into the frames of a cache, in place of those that are there.
 
@@ -873,8 +927,8 @@ def add_meshes(
 
     Args:
         directory: folder of the cache.
-        make: gives the meshes of a frame by region; regions that are left out are not there.
-        regions: all regions of the run.
+        make: gives the meshes of a frame by prim; those that are left out are not there.
+        meshes: names of all meshes from /World: `surface_prim` of each region of the run, or `WHOLE`.
 
     Returns:
         SHA-256 of the files that were written, by their paths in the folder.
@@ -886,26 +940,31 @@ def add_meshes(
     root, sums = open_layer(directory / ROOT), {}
     require(not refers_to(root), "directory", str(directory), "a cache that refers to its own frames alone")
     metadata = read_metadata(directory)
-    gain, index = metadata["colorGain"], metadata["refractiveIndex"]
+    fps, gain, index = (metadata.get(name) for name in ("framesPerSecond", "colorGain", "refractiveIndex"))
+    try:
+        display_color(np.zeros(0, np.float32), gain, index)
+    except (InputError, TypeError):
+        raise InputError(f"{directory / ROOT}: colorGain and refractiveIndex are {gain!r:.80}, {index!r:.80}") from None
     points = [prim for prim in prims_of(root) if not is_mesh(prim)]
-    origin = origin_of(root, points[0])
-    meshes = [surface_prim(region) for region in regions]
-    for frame in list_frames(directory):
+    numbers = list_frames(directory)
+    require("Film" in points and bool(numbers), "directory", str(directory), "a cache with frames and /World/Film")
+    origin = origin_of(root, "Film")
+    for frame in numbers:
         path = frame_path(directory, frame)
-        layer, made = open_layer(path), make(frame)
+        made, layer = make(frame), open_layer(path)
         _drop_meshes(layer)
         _declare(layer, meshes, origin)
-        for region, prim in zip(regions, meshes, strict=True):
-            mesh = made.get(region) or MeshFrame.empty(origin)
-            _check_arrays(f"frame {frame} {prim}", mesh, MESH_ATTRIBUTES)
+        for prim in meshes:
+            mesh = made.get(prim) or frame_kind(prim).empty(origin)
+            _check_arrays(f"frame {frame} {prim}", mesh, attributes_of(prim))
             _set_values(layer, frame, prim, mesh, (), gain, index)
         sums[f"{FRAMES}/{path.name}"] = _export(layer, path)
-    manifest = _manifest_layer(metadata["framesPerSecond"], [*points, *meshes], packed_of(root, points))
+    manifest = _manifest_layer(fps, [*points, *meshes], packed_of(root, points))
     sums[MANIFEST] = _export(manifest, directory / MANIFEST)
     _drop_meshes(root)
     _declare(root, meshes, origin)
     _bind(root, meshes)
-    _set_range(root, int(metadata["startTimeCode"]), int(metadata["endTimeCode"]))
+    _set_range(root, numbers[0], numbers[-1])
     return sums | {ROOT: _export(root, directory / ROOT)}
 
 

@@ -1,4 +1,4 @@
-"""Caches from elsewhere: `check`, `measure` and `preview` end with one line, whatever is in the folder.
+"""Caches from elsewhere: `check`, `measure`, `preview` and `mesh` end with one line, whatever is in the folder.
 
 No traceback, no hang, no crash, nothing written outside of the folder. What is garbled does not pass `check`.
 """
@@ -280,9 +280,14 @@ def look_at(folder, seed, capfd):
     more = [
         ["measure", str(folder), "--json", str(folder / "found.json")],
         ["preview", str(folder), "--size", "16"],
-    ][seed % 2]
-    assert cli.main(more) in (0, 2)
-    assert len(capfd.readouterr().err.splitlines()) <= 1
+        ["mesh", str(folder), "--triangles", "500", *(["--whole"] if seed % 6 == 5 else [])],
+    ][seed % 3]
+    code_of_more = cli.main(more)
+    assert code_of_more in ((0, 1, 2) if more[0] == "mesh" else (0, 2))
+    told = capfd.readouterr()
+    assert len(told.err.splitlines()) <= 1 and len(told.out.splitlines()) < 2000
+    if more[0] == "mesh" and code == code_of_more == 0:
+        assert cli.main(["check", str(folder)]) == 0
     return code
 
 
@@ -306,11 +311,13 @@ def test_hostile_folders(sound, count, tmp_path, capfd):
     assert passed == []
 
 
-def test_a_sound_folder_passes(sound, capfd):
+def test_a_sound_folder_passes(sound, tmp_path, capfd):
     assert look_at(sound, 0, capfd) == look_at(sound, 1, capfd) == 0
+    for seed in (2, 5):
+        assert look_at(shutil.copytree(sound, tmp_path / str(seed)), seed, capfd) == 0
 
 
-@pytest.mark.parametrize("command", ["check", "measure", "preview"])
+@pytest.mark.parametrize("command", ["check", "measure", "preview", "mesh"])
 def test_no_folder_is_bad_input(command, tmp_path, capfd):
     assert cli.main([command, str(tmp_path / "nope")]) == 2
     assert "DIR must be a folder that a run wrote" in capfd.readouterr().err
