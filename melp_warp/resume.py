@@ -90,8 +90,6 @@ class Start:
         }
         right = isinstance(run, dict) and set(run) == set(kinds)
         right = right and all(isinstance(run[name], kind) for name, kind in kinds.items()) and _is_plain(run["line"])
-        if right:  # runs from before there were such meshes do not say
-            run = {**run, "options": {"whole": False, **run["options"]}}
         if not right or set(run["options"]) != set(OPTIONS) or run["options"]["export"] not in (None, "l", "e", "both"):
             raise InputError(f"checkpoint {path} was not written by a run of the command line")
         for name, kind in OPTIONS.items():

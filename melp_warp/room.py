@@ -20,6 +20,9 @@ FULL_BYTES, PACKED_BYTES = 57, 32
 TRIANGLE_BYTES = 40
 """The same of a triangle of a mesh."""
 
+WHOLE_BYTES, WHOLE_TRIANGLES = 100, 30
+"""The same of a triangle of a whole foam's mesh, which has values at corners; and how many of these there are an E."""
+
 FRAME_BYTES = 6000
 """The same of a frame without particles, with its line of the log."""
 
@@ -82,6 +85,7 @@ class Written:
         mesh: whether it stores meshes.
         triangles: how many; None for about as many as there are L.
         pictures: whether pictures are drawn at the end.
+        whole: whether the mesh is one of the whole foam.
     """
 
     e_sets: int = 0
@@ -90,13 +94,15 @@ class Written:
     mesh: bool = False
     triangles: int | None = None
     pictures: bool = False
+    whole: bool = False
 
     def cache_bytes(self, e_count: int, l_count: int, frames: int) -> int:
         """Bytes of the cache and its log."""
-        triangles = (self.triangles or l_count or 2 * e_count) if self.mesh else 0
+        usual = WHOLE_TRIANGLES * e_count if self.whole else l_count or 2 * e_count
+        triangles = (self.triangles or usual) * (WHOLE_BYTES if self.whole else TRIANGLE_BYTES) if self.mesh else 0
         an_l = FULL_BYTES if self.full else PACKED_BYTES
         particles = FULL_BYTES * self.e_sets * e_count + an_l * self.l_sets * l_count
-        return frames * (FRAME_BYTES + particles + TRIANGLE_BYTES * triangles)
+        return frames * (FRAME_BYTES + particles + triangles)
 
     def other_bytes(self, e_count: int, l_count: int) -> int:
         """Bytes of checkpoints and pictures."""

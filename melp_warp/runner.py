@@ -196,7 +196,7 @@ def _written(plan: Plan) -> Written:
     """What the run writes."""
     with_l = plan.scene.l_per_e > 0 and plan.export != "e"
     e_sets = int(not with_l) + int(plan.export in ("e", "both"))
-    return Written(e_sets, int(with_l), plan.full, plan.mesh, plan.triangles, plan.preview)
+    return Written(e_sets, int(with_l), plan.full, plan.mesh, plan.triangles, plan.preview, plan.whole)
 
 
 def start_from(folder: Path) -> Start:

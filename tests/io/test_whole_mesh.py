@@ -161,7 +161,19 @@ def test_points_of_no_region_are_refused(device):
 
 # --- runs and caches -----------------------------------------------------------------------------------------------
 
-SMALL = ["--set", "e_count=800", "l_per_e=2", "approach_speed=0.5", "--fps", "24", "--frames", "4", "--export", "both"]
+SMALL = [
+    "--set",
+    "e_count=800",
+    "l_per_e=2",
+    "approach_speed=0.5",
+    "--fps",
+    "24",
+    "--frames",
+    "4",
+    "--export",
+    "both",
+    "--full",
+]
 
 
 def test_a_run_writes_what_the_command_writes_afterwards(tmp_path, capsys):
