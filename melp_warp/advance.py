@@ -41,7 +41,7 @@ class EulerianAdvance:
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
-        shifted = film.numerics.redistribution > 0.0
+        shifted = film.numerics.redistribution > 0.0 and not film.features.holed
         self.redistribution = Redistribution(film, state, lists, geometry) if shifted else None
         self.x_old = wp.clone(state.e.x)
 

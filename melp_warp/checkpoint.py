@@ -66,7 +66,7 @@ class Checkpoint:
 
     def make_state(self, scene: Scene, device) -> State:
         """The state, on a device."""
-        state = state_of(scene, self.arrays, len(self.course.labels), device)
+        state = state_of(scene, self.arrays, len(self.course.labels), device, self.course.holed)
         state.course = self.course
         state.seen.refill(self.seen)
         return state
@@ -204,12 +204,14 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
     header = read_header(path)
     compare(path, header["scene"], scene, changed)
     shapes, arrays = declared(), _load_all(path)
-    features = Features.of(scene)
     try:
         course = check_course(header["course"], scene)
+        features = Features.of(scene, course.holed)
         film = check_film(header["film"], scene.shape.area, scene.e_count, features.closed and not features.foam)
         seen = check_seen(header["seen"])
         needed = {name for name, (*_, when) in shapes.items() if when is None or when(features)}
+        if not course.labels:
+            needed.discard("b.mirror")  # no film, no frame
         given = {name: array for name, array in arrays.items() if name in needed}
         optional = {name for name in needed if changed and name.startswith("memory.")}
         boundary = boundary_count(scene, film["spacing"])

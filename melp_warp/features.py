@@ -29,7 +29,9 @@ class Features:
         circulation: L carry circulation.
         mixes: L exchange what they hold where the flow shears them.
         explicit: the normal motion is stepped by the present force over the mass.
-        budget: the energy budget is kept; a single layer has none.
+        budget: the energy budget is kept; a single layer has none, and neither has a film that may burst.
+        bursts: the film may get holes.
+        holed: it has got them: what it enclosed, and the air around it, count no more.
     """
 
     closed: bool
@@ -49,24 +51,27 @@ class Features:
     mixes: bool
     explicit: bool
     budget: bool
+    bursts: bool
+    holed: bool
 
     @classmethod
-    def of(cls, scene: Scene) -> Features:
-        """Derive the features of a scene."""
+    def of(cls, scene: Scene, holed: bool = False) -> Features:
+        """Derive the features of a scene, of a film that is whole or `holed`."""
         lagrangian = scene.l_per_e > 0
         moving = not scene.shape.flat
         single = scene.numerics.layers == 1
         marangoni = (lagrangian or single) and scene.material.surfactant > 0.0
         foam = isinstance(scene.shape, Cluster)
-        air = moving and scene.surroundings.air == "added_mass"
+        air = moving and scene.surroundings.air == "added_mass" and not holed
+        closed = scene.shape.closed and not holed
         return cls(
-            closed=scene.shape.closed,
+            closed=closed,
             moving=moving,
             lagrangian=lagrangian,
             rim=not scene.shape.closed,
             collects=lagrangian and not scene.shape.closed,
             marangoni=marangoni,
-            recoils=marangoni and scene.shape.closed and not foam,
+            recoils=marangoni and closed and not foam,
             viscous=(lagrangian or single) and scene.material.viscosity > 0.0,
             exchanges=lagrangian and foam and scene.numerics.exchange > 0.0,
             foam=foam,
@@ -75,8 +80,10 @@ class Features:
             mixes=lagrangian and scene.numerics.mixing > 0.0,
             explicit=single or (scene.numerics.scheme == "explicit" and not foam),
             air=air,
-            dragged=air and scene.shape.closed and scene.surroundings.air_drag > 0.0,
-            budget=scene.budget and not single,
+            dragged=air and closed and scene.surroundings.air_drag > 0.0,
+            budget=scene.budget and not single and not scene.bursting.possible,
+            bursts=scene.bursting.possible,
+            holed=holed,
         )
 
     @property
@@ -108,5 +115,6 @@ class Features:
             "exchange": self.foam,
             "regions": self.foam,
             "budget": self.budget,
+            "free_rim": self.bursts,
         }
         return [name for name, wanted in needed.items() if wanted]

@@ -10,6 +10,7 @@ from melp_warp.air_range import AirRange
 from melp_warp.drag import AirDrag
 from melp_warp.film import Film
 from melp_warp.forces import Forces
+from melp_warp.free_rim import FreeRim
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import drag as kd
 from melp_warp.kernels import gas as kg
@@ -40,6 +41,11 @@ def _softer(bent: float, mass: float) -> float:
     return bent * max(1.0 - 8.0 * bent / mass, 0.0)
 
 
+def _blur(film: Film, geometry: Geometry) -> float:
+    """What the inertia makes up for, m^2; nothing where that jumps at a free rim: the matrix has to stay definite."""
+    return 0.0 if film.features.holed else geometry.blur(film.numerics.curvature)
+
+
 class _Pair:
     """Right-hand side and solution."""
 
@@ -51,11 +57,13 @@ class FilmResponse:
     """Change of normal velocity under a load, (m (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b, without air.
 
     Attributes:
+        inertia: [n_e] what resists a change, kg: the mass of E, and what hangs on them.
         left_out: [1] what of c 2/R^2 is not in the matrix where steps are long, at the mean mass, kg/m^2.
     """
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.geometry = film, state, geometry
+        self.inertia = state.e.mass
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
         numerics = film.numerics
         self.load, self.unit = (
@@ -64,7 +72,7 @@ class FilmResponse:
         )
         self.solvers = (self.load, self.unit)
         self.diag, self._operator = operator.diag, operator
-        self._blur = geometry.blur(numerics.curvature)
+        self._blur = _blur(film, geometry)
         self._stiffness, self._left_out = Setting(film.device), Setting(film.device)
         self.left_out = self._left_out.array
 
@@ -80,7 +88,7 @@ class FilmResponse:
         film.launch_e(
             km.stiffen_pairs_e,
             [
-                *(self.state.e.mass, geometry.area, geometry.weight, operator.rows),
+                *(self.inertia, geometry.area, geometry.weight, operator.rows),
                 *(film.n_e, self._stiffness.array, self._blur, 2.0 / film.radius**2),
             ],
             [operator.diag, operator.pair],
@@ -214,6 +222,7 @@ class Membrane:
         fields: Fields,
         forces: Forces,
         rim: Rim | None,
+        edge: FreeRim | None = None,
     ):
         self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
         self.forces, self.rim, self.lists = forces, rim, lists
@@ -243,10 +252,12 @@ class Membrane:
             self.response = AirResponse(film, state, lists, geometry)
         else:
             self.response = FilmResponse(film, state, lists, geometry)
+        if edge is not None:
+            self.response.inertia = edge.inertia
         self.air_range = None
         if film.features.air and film.features.closed and not self.explicit:
             self.air_range = AirRange(film, state, lists, geometry, self.response.poles, self.response.low)
-        self.blur = 0.0 if self.explicit else geometry.blur(film.numerics.curvature)
+        self.blur = 0.0 if self.explicit else _blur(film, geometry)
         self._whole = wp.full(1, self.theta_whole, dtype=wp.float32, device=film.device)
         self.taken = wp.full(film.regions, self.rigid_air, dtype=wp.float32, device=film.device)
         self.drag = AirDrag(film, state) if film.features.dragged else None

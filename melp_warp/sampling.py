@@ -18,7 +18,17 @@ from melp_warp.launch import compile_kernels
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rim, Samples
 from melp_warp.single_layer import make_stepper
-from melp_warp.state import BoundaryState, Course, EulerianState, LagrangianState, State, allocate
+from melp_warp.state import (
+    GAS_SLOTS,
+    BoundaryState,
+    Course,
+    DropState,
+    EulerianState,
+    FreeRimState,
+    LagrangianState,
+    State,
+    allocate,
+)
 from melp_warp.stepper import Stepper
 from melp_warp.surgery import Stored
 
@@ -139,7 +149,7 @@ def _e_state(scene: Scene, device) -> tuple[EulerianState, BoundaryState | None,
         normals = np.concatenate([normals, rim.normals])
         boundary = allocate(BoundaryState, {"b": len(rim.points)}, device)
         boundary.mirror.assign(rim.mirror - origin)
-    state = allocate(EulerianState, {"e": n_e, "n": len(points)}, device, count=n_e)
+    state = allocate(EulerianState, {"e": n_e, "n": len(points)}, device, Features.of(scene), count=n_e)
     state.x.assign(points)
     state.normal.assign(normals)
     state.region.assign(_regions(samples, len(points)))
@@ -250,11 +260,12 @@ def unresolved(scene: Scene, stepper: Stepper) -> float:
 
 def film_of(scene: Scene, state: State, spacing: float, room: float | None = None, radius: float = math.inf) -> Film:
     """The film around a state, whose particles are `spacing` (m) apart; see `Film` for the others."""
-    features, device, sizes, labels = Features.of(scene), state.e.x.device, state.sizes, state.course.labels
+    features = Features.of(scene, state.course.holed)
+    device, sizes, labels = state.e.x.device, state.sizes, state.course.labels
     counts = np.bincount(state.e.region.numpy()[: sizes["e"]], minlength=sizes["r"])
     factor = [scene.shape.bubbles[k].tension for k in labels] if features.foam else [1.0]
     tension = scene.material.tension * np.array(factor, dtype=wp.dtype_to_numpy(wp.float32))
-    rim = _rim(scene, spacing)
+    rim = _rim(scene, spacing) if sizes["b"] else None
     if rim is not None:
         held = (rim.anchors - state.origin, rim.outward, rim.curvature)
         rim = RimArrays(*(wp.array(a, dtype=wp.vec3, device=device) for a in held))
@@ -286,15 +297,16 @@ def _walls_from(origin: np.ndarray, walls: tuple[Wall, ...]) -> tuple[Wall, ...]
     return tuple(replace(wall, point=tuple(wall.point - origin)) for wall in walls)
 
 
-def state_of(scene: Scene, stored: dict[str, np.ndarray], regions: int, device) -> State:
+def state_of(scene: Scene, stored: dict[str, np.ndarray], regions: int, device, holed: bool = False) -> State:
     """A state of the arrays that `State.numpy` gives, whatever their lengths; what is not there is zero."""
-    n_e, n, n_l = (len(stored.get(name, ())) for name in ("e.mass", "e.x", "l.x"))
-    e = allocate(EulerianState, {"e": n_e, "n": n}, device, count=n_e)
-    lagrangian = (
-        allocate(LagrangianState, {"l": n_l}, device, Features.of(scene), count=n_l) if "l.x" in stored else None
-    )
+    n_e, n, n_l, n_f, n_d = (len(stored.get(name, ())) for name in ("e.mass", "e.x", "l.x", "f.x", "d.x"))
+    features = Features.of(scene, holed)
+    e = allocate(EulerianState, {"e": n_e, "n": n}, device, features, count=n_e)
+    lagrangian = allocate(LagrangianState, {"l": n_l}, device, features, count=n_l) if "l.x" in stored else None
     boundary = allocate(BoundaryState, {"b": n - n_e}, device) if "b.mirror" in stored else None
-    state = State(e, lagrangian, boundary, regions, Features.of(scene), time=float(stored["time"]))
+    rims = allocate(FreeRimState, {"f": n_f}, device) if features.bursts else None
+    drops = allocate(DropState, {"d": n_d}, device) if features.bursts else None
+    state = State(e, lagrangian, boundary, regions, features, time=float(stored["time"]), f=rims, d=drops)
     state.load(stored)
     return state
 
@@ -322,6 +334,34 @@ def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tupl
     stepper.fields.update()
     _fill_new_gas(film, state)
     stepper.membrane.start_motion()
+    return film, stepper
+
+
+def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tuple[Film, Stepper]:
+    """Film and stepper of a film whose holes have changed; a `NoFilm` where all of it is gone.
+
+    What encloses gas keeps the pressure that it had when it was punctured: the air around is far heavier than a film
+    and holds its shape for as long as a rim takes. See docs/bursting.md.
+
+    Args:
+        scene: the scene.
+        stored: the film as it is now.
+        before: the state before the change.
+        film: the film before it.
+    """
+    state = state_of(scene, stored.arrays, len(stored.labels), film.device, holed=True)
+    state.ids = stored.ids
+    stays = ("limit", "cap", "speed", "reach", "shown", "punctured", "rest", "run")
+    kept = {name: getattr(before.course, name) for name in stays}
+    state.course = Course(**kept, crossed=state.time, mixed=state.time, labels=stored.labels, holed=True)
+    gas = state.gas.numpy()
+    gas[:, [GAS_SLOTS.index(name) for name in ("increment", "offset")]] = 0.0
+    state.gas.assign(gas)
+    state.motion.zero_()
+    film = film_of(scene, state, film.spacing, film.room)
+    stepper = make_stepper(film, state)
+    if stored.labels and "memory.area" in stored.arrays:
+        stepper.geometry.set_area(state.memory.area)
     return film, stepper
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from melp_warp.bursting import Bursting
 from melp_warp.cluster import Cluster
 from melp_warp.errors import require
 from melp_warp.keys import Key, check_numbers, count, positive, quantity
@@ -44,6 +45,7 @@ class Scene:
         waves: shortest waves of the shape and of the fields where they are known, m, by the key that sets them. Fewer
             than five E spacings a wave are refused.
         numerics: discretisation choices.
+        bursting: punctures, and what becomes of rims.
         dt: None for a step set by `numerics.cfl`.
         budget: whether the energy budget is kept (`melp_warp.budget`); it changes nothing else.
     """
@@ -60,6 +62,7 @@ class Scene:
     velocity: PointField | None = None
     waves: Mapping[str, float] = field(default_factory=dict)
     numerics: Numerics = field(default_factory=Numerics)
+    bursting: Bursting = field(default_factory=Bursting)
     frames: int = quantity(count("frames after the first", 0, MOST_FRAMES), 100)
     fps: float = quantity(positive("1/s", "frames per simulated second", 1e6), 60.0)
     dt: float | None = quantity(
@@ -78,6 +81,8 @@ class Scene:
         require(self.dt is None or self.dt >= least, "dt", self.dt, allowed)
         if self.numerics.layers == 1:
             object.__setattr__(self, "l_per_e", 0)
+        if self.bursting.possible:
+            self._check_bursting()
         closed = self.shape.closed
         require(closed or self.surroundings.lift == 0.0, "lift", self.surroundings.lift, "0 for an open film")
         if isinstance(self.shape, Cluster):
@@ -85,6 +90,14 @@ class Scene:
         else:
             damping = self.surroundings.damping
             require(damping == 0.0, "damping", damping, "0 for a single film: it is of foams")
+
+    def _check_bursting(self) -> None:
+        """Refuse films that cannot burst yet."""
+        foam, layers = isinstance(self.shape, Cluster), self.numerics.layers
+        require(not foam, "punctures and rupture_thickness", "some", "none for a foam: use pop_time and merge_time")
+        require(layers == 2, "layers", layers, "2 for a film that bursts")
+        scheme = self.numerics.scheme
+        require(scheme != "explicit", "scheme", scheme, "backward_euler or trapezoid for a film that bursts")
 
     def _check_foam(self) -> None:
         """Refuse what a foam has no use for, rather than leave it out in silence."""

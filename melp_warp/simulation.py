@@ -13,6 +13,7 @@ import warp as wp
 
 from melp_warp import checkpoint
 from melp_warp.budget import Ledger, Reading
+from melp_warp.burst import Burst
 from melp_warp.cluster import Cluster
 from melp_warp.environment import start_warp
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
@@ -25,7 +26,7 @@ from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.launch import compile_kernels, launch
 from melp_warp.notices import Notices
-from melp_warp.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, unresolved
+from melp_warp.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, set_up_holed, unresolved
 from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
 from melp_warp.single_layer import make_stepper
 from melp_warp.state import GAS_SLOTS, Snapshot, State
@@ -101,6 +102,7 @@ class Simulation:
         self.notices = Notices()
         self._last_dt, self._substeps = 0.0, 0
         self.events = Events(scene.shape) if isinstance(scene.shape, Cluster) else None
+        self.burst = Burst(self) if scene.bursting.possible else None
         try:
             if checkpoint is not None:
                 self.load_checkpoint(checkpoint, changed)
@@ -199,6 +201,8 @@ class Simulation:
         """One step of dt seconds."""
         began = time.perf_counter()
         self.stepper.step(dt)
+        if self.burst is not None:
+            self.burst.after_step(dt)
         self.step_seconds.append(time.perf_counter() - began)
         self._last_dt = dt
 
@@ -371,10 +375,18 @@ class Simulation:
     def _until(self, end: float) -> float:
         """End of the frame, or the time of an event before it, s."""
         following = self.events.following(self.state) if self.events else None
+        if self.burst is not None:
+            following = self.burst.following()
         return end if following is None else min(end, following)
 
     def _change_regions(self) -> None:
         """Let regions pop, merge and appear whose time has come; the run is set up anew for what is left."""
+        while self.burst is not None and (change := self.burst.due()) is not None:
+            stored = Stored.of(self.state)
+            change(stored)
+            self.stepper.remark(self.notices)
+            _, self.stepper = set_up_holed(self.scene, stored, self.state, self.film)
+            self.burst.begin()
         while self.events is not None and (change := self.events.due(self)) is not None:
             stored = Stored.of(self.state)
             change(stored)
@@ -395,6 +407,8 @@ class Simulation:
         the one before: at the start nothing has moved yet.
         """
         limit = min(1.0 / self.scene.fps, self.state.course.cap)
+        if self.burst is not None:
+            limit = min(limit, self.burst.longest_step())
         if self.film.features.single:
             limit = min(limit, self.stepper.longest_step(self._fastest()))
         if self.scene.dt is not None:
@@ -442,6 +456,8 @@ class Simulation:
         order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
         if which == "l" and self.film.features.collects:
             order = np.flatnonzero(there)
+        if self.film.features.holed:
+            order = np.flatnonzero((source.behind.numpy() == 0) & (area > 0.0))
         thickness = (eta * 1e9).astype(np.float32)[order]
         return ParticleFrame(
             points=(x + (self.state.origin - self.origin)).astype(np.float32)[order],
@@ -491,6 +507,7 @@ class Simulation:
             **(self._foam_diagnostics(gas) if film.features.foam else {}),
             **(self._border_diagnostics() if film.features.collects else {}),
             **(stepper.circulation.diagnostics() if film.features.circulation else {}),
+            **(self.burst.diagnostics() if self.burst is not None else {}),
             "mass": sums[0],
             "surfactant": sums[1],
             "momentum": sums[2:5].tolist(),
@@ -520,6 +537,7 @@ class Simulation:
             **{name: [] for name in ("regions", "volumes", "pressures", "gas")},
             "covered": None,
             "spilled": self.spilled,
+            **(self.burst.diagnostics() if self.burst is not None else {}),
             **dict.fromkeys(("mass", "surfactant"), 0.0),
             "momentum": [0.0, 0.0, 0.0],
             **dict.fromkeys(("kinetic_energy", "surface_energy", "max_speed"), 0.0),
@@ -558,6 +576,8 @@ class Simulation:
 
     def _sums(self) -> np.ndarray:
         film, state = self.film, self.state
+        if film.features.holed:
+            return self.burst.sums()
         if self.has_l:
             lag = state.l
             arrays = [lag.mass, lag.surfactant, lag.u, lag.v, lag.eta, film.material.density, film.n_l]
@@ -614,7 +634,7 @@ class Simulation:
                 is changed then.
         """
         scene = checkpoint.changed(self.scene, numbers)
-        now, then = self.film.features, Features.of(scene)
+        now, then = self.film.features, Features.of(scene, self.state.course.holed)
         if then != now:
             stages = [f.name for f in fields(Features) if getattr(now, f.name) != getattr(then, f.name)]
             names = ", ".join(numbers)
@@ -653,7 +673,7 @@ class Simulation:
             InputError: the file cannot be read or does not fit the scene.
         """
         read = checkpoint.read(path, self.scene, changed)
-        compile_kernels(Features.of(self.scene).kernels(), self.device)
+        compile_kernels(Features.of(self.scene, read.course.holed).kernels(), self.device)
         state = read.make_state(self.scene, self.device)
         self.stepper = make_stepper(film_of(self.scene, state, **read.film), state)
         self.notices.load(read.notices)

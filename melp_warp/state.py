@@ -47,6 +47,8 @@ class EulerianState:
         mass: [count] kg.
         surfactant: [count] amount on one interface, mol.
         region: [n] index of the region; E are stored region by region.
+        behind: [count] 1 for E that a free rim has passed: they only continue the film beyond it. None without holes.
+        swept: [count] 1 for E whose liquid a free rim has taken. None without holes, or with L, which hold the liquid.
         count: number of E.
     """
 
@@ -56,6 +58,8 @@ class EulerianState:
     mass: wp.array = _array(wp.float32, "e")
     surfactant: wp.array = _array(wp.float32, "e")
     region: wp.array = _array(wp.int32, "n")
+    behind: wp.array | None = _array(wp.int32, "e", lambda f: f.holed)
+    swept: wp.array | None = _array(wp.int32, "e", lambda f: f.holed and not f.lagrangian)
     count: int = 0
 
 
@@ -74,6 +78,7 @@ class LagrangianState:
         eta: [n_l] thickness, m.
         region: [n_l] index of the region.
         circulation: [n_l] n.curl_s u dA about the L's normal, m^2/s; None unless the carrier is "circulation".
+        behind: [n_l] 1 for L whose liquid a free rim has taken. None without holes.
         count: number of L.
     """
 
@@ -87,6 +92,7 @@ class LagrangianState:
     eta: wp.array = _array(wp.float32, "l")
     region: wp.array = _array(wp.int32, "l")
     circulation: wp.array | None = _array(wp.float32, "l", lambda f: f.circulation)
+    behind: wp.array | None = _array(wp.int32, "l", lambda f: f.holed and f.lagrangian)
     count: int = 0
 
 
@@ -99,6 +105,55 @@ class BoundaryState:
     """
 
     mirror: wp.array = _array(wp.vec3, "b")
+
+
+@dataclass
+class FreeRimState:
+    """Points of free rims, see `kernels.free_rim`.
+
+    Attributes:
+        x: [n_f] m.
+        u: [n_f] velocity in the last step, m/s.
+        inertia: [n_f] mass that its motion goes by, kg; `mass` but for the lumps in which that grows.
+        mass: [n_f] kg.
+        surfactant: [n_f] amount on one interface, mol.
+        after, before: [n_f] indices of the neighbours, -1 for none.
+        normal: [n_f] unit normals of the film ahead.
+        flow: [n_f] its velocity, m/s.
+        film: [n_f] its relative surfactant concentration and thickness (m).
+        growth: [n_f] growth of the waves that break it into drops since it last broke, in growth times.
+        limit: [n_f] growth at which it breaks next, over the scene's.
+    """
+
+    x: wp.array = _array(wp.vec3, "f")
+    u: wp.array = _array(wp.vec3, "f")
+    inertia: wp.array = _array(wp.float32, "f")
+    mass: wp.array = _array(wp.float64, "f")
+    surfactant: wp.array = _array(wp.float64, "f")
+    after: wp.array = _array(wp.int32, "f")
+    before: wp.array = _array(wp.int32, "f")
+    normal: wp.array = _array(wp.vec3, "f")
+    flow: wp.array = _array(wp.vec3, "f")
+    film: wp.array = _array(wp.vec2, "f")
+    growth: wp.array = _array(wp.float32, "f")
+    limit: wp.array = _array(wp.float32, "f")
+
+
+@dataclass
+class DropState:
+    """Drops that rims have broken into.
+
+    Attributes:
+        x: [n_d] m.
+        u: [n_d] m/s.
+        mass: [n_d] kg.
+        surfactant: [n_d] mol, on one interface of the film that it was.
+    """
+
+    x: wp.array = _array(wp.vec3, "d")
+    u: wp.array = _array(wp.vec3, "d")
+    mass: wp.array = _array(wp.float32, "d")
+    surfactant: wp.array = _array(wp.float32, "d")
 
 
 def _guesses(features: Features) -> bool:
@@ -181,6 +236,10 @@ class Course:
         spilled: liquid that left with films that popped, kg.
         pending: number of the scene's scripted events to come.
         unborn: the scene's numbers of the bubbles to come.
+        punctured: number of the scene's punctures that have been made.
+        holed: whether the film has holes, or has burst.
+        run: way of the fastest rim since film behind rims was last taken away, m.
+        rest: liquid that a frame has collected where a rim came to it, and that left with drops out of sight, kg.
         shown: [3] where exported positions are measured from, the same for the whole run, m.
         ledger: the energy budget so far; None where the scene wants none.
     """
@@ -201,6 +260,10 @@ class Course:
     spilled: float = 0.0
     pending: int = 0
     unborn: list[int] = field(default_factory=list)
+    punctured: int = 0
+    holed: bool = False
+    run: float = 0.0
+    rest: float = 0.0
     shown: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     ledger: Ledger | None = None
 
@@ -231,6 +294,8 @@ def declared() -> dict[str, Declared]:
         "e": (EulerianState, None),
         "l": (LagrangianState, lambda f: f.lagrangian),
         "b": (BoundaryState, lambda f: f.rim),
+        "f": (FreeRimState, lambda f: f.bursts),
+        "d": (DropState, lambda f: f.bursts),
         "memory": (Memory, None),
     }
     found: dict[str, Declared] = {
@@ -239,6 +304,7 @@ def declared() -> dict[str, Declared]:
         "border": ("f", len(BORDER_SLOTS), (), lambda f: f.collects),
         "ids.e": ("i", "e", (), None),
         "ids.l": ("i", "l", (), None),
+        "ids.d": ("i", "d", (), lambda f: f.bursts),
         "origin": ("f", 3, (), None),
         "time": ("f", None, (), None),
         "frame": ("i", None, (), None),
@@ -260,13 +326,14 @@ class State:
         e: Eulerian particles.
         l: Lagrangian particles, or None.
         b: boundary particles, or None.
+        f, d: points of free rims and drops; None for none, as at the start.
         regions: number of regions.
         features: what the film needs, and so remembers.
         origin: see below.
         time: s.
 
     Attributes:
-        e, l, b: the particles.
+        e, l, b: the particles; f and d, points of free rims and drops, where the film may burst, else None.
         gas: [regions, 6] float64, see `GAS_SLOTS`: volume (m^3), gauge pressure (Pa), amount n0 R T (J), pressure
             increment of the last step (Pa), area (m^2), normal offset that closed the volume in the last step (m).
         motion: [regions] velocity of a closed film as a whole, m/s: it changes by outside forces alone.
@@ -292,9 +359,14 @@ class State:
         features: Features,
         origin: np.ndarray | None = None,
         time: float = 0.0,
+        f: FreeRimState | None = None,
+        d: DropState | None = None,
     ):
         device = e.x.device
         self.e, self.l, self.b = e, l, b
+        self.f, self.d = f, d
+        if features.bursts and f is None:
+            self.f, self.d = allocate(FreeRimState, {"f": 0}, device), allocate(DropState, {"d": 0}, device)
         self.gas = wp.zeros((regions, len(GAS_SLOTS)), dtype=wp.float64, device=device)
         self.motion = wp.zeros(regions, dtype=wp.vec3, device=device)
         self.border = wp.zeros(len(BORDER_SLOTS), dtype=wp.float64, device=device) if features.collects else None
@@ -302,6 +374,8 @@ class State:
         self.course = Course(crossed=time, mixed=time)
         self.seen = Reading(self.memory.travel)
         self.ids = {"e": np.arange(e.count), "l": np.arange(l.count if l else 0)}
+        if features.bursts:
+            self.ids["d"] = np.arange(self.d.x.shape[0])
         self.origin = np.zeros(3) if origin is None else origin
         self.time, self.frame = time, 0
 
@@ -314,13 +388,15 @@ class State:
             "n": n,
             "b": n - self.e.count,
             "l": self.l.count if self.l else 0,
+            "f": self.f.x.shape[0] if self.f else 0,
+            "d": self.d.x.shape[0] if self.d else 0,
             "r": regions,
             "p": count_parts(regions),
         }
 
     def arrays(self) -> dict[str, wp.array]:
         """All arrays by name, in a fixed order."""
-        blocks = {"e": self.e, "l": self.l, "b": self.b, "memory": self.memory}
+        blocks = {"e": self.e, "l": self.l, "b": self.b, "f": self.f, "d": self.d, "memory": self.memory}
         named = {
             f"{block}.{k}": a for block, held in blocks.items() if held is not None for k, a in _arrays(held).items()
         }
@@ -359,7 +435,10 @@ class State:
         self.course = Course(
             **{
                 name: getattr(was, name)
-                for name in ("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger")
+                for name in (
+                    *("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger"),
+                    *("punctured", "holed", "run", "rest"),
+                )
             },
             crossed=self.time,
             mixed=self.time,

@@ -18,6 +18,7 @@ from melp_warp.errors import LeapError, SimulationError
 from melp_warp.film import Film
 from melp_warp.foam import Exchange, FoamMembrane
 from melp_warp.forces import Forces
+from melp_warp.free_rim import FreeRim
 from melp_warp.geometry import Geometry
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
@@ -79,6 +80,7 @@ class Stepper:
             Circulation(film, state, self.lists, self.geometry, self.transfer, self.rim) if f.circulation else None
         )
         self.mixing = Mixing(film, state, self.lists) if f.mixes else None
+        self.edge = FreeRim(film, state, self.lists, self.geometry, self.fields) if f.holed else None
         self.membrane = self._make_membrane() if f.moving else None
         self.tangential = (
             Tangential(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim)
@@ -113,7 +115,7 @@ class Stepper:
 
     def _make_membrane(self) -> Membrane | FoamMembrane:
         common = [self.film, self.state, self.lists, self.geometry, self.fields, self.forces]
-        return FoamMembrane(*common) if self.film.features.foam else Membrane(*common, self.rim)
+        return FoamMembrane(*common) if self.film.features.foam else Membrane(*common, self.rim, self.edge)
 
     def _table(self) -> dict[str, Callable[[], None]]:
         """The stages of a step in their order."""
@@ -132,12 +134,16 @@ class Stepper:
     def step(self, dt: float) -> None:
         """Advance the film by dt (s)."""
         self.prepare(dt)
+        if self.edge is not None:
+            self.edge.hold()
         move, follow = self._graphs if self.whole else (self._move, self._follow)
         self._timed("neighbors", self._find_neighbors)
         move()
         if self.film.features.moving or self.film.features.single:
             self._timed("geometry", self.lists.update_e)
         follow()
+        if self.edge is not None:
+            self.edge.advance(dt)
         self.lists.look(dt)
         self.state.time += dt
         self.steps += 1
@@ -222,6 +228,8 @@ class Stepper:
             self.circulation.take(flow, self.dt.array)
         self.transfer.e_to_l(flow.dilation, flow.before, flow.theta, self.dt.array)  # (16)-(18), (8)
         flow.finish()
+        if self.edge is not None:
+            self.edge.still()
         if self.budget is not None:
             self.budget.book_forces()
         self._guard_l("e_to_l")
@@ -257,7 +265,11 @@ class Stepper:
     def _advance_l(self) -> None:
         if self.film.features.moving:
             self.membrane.find_motion_at(self.tangential.theta)
+        if self.edge is not None:
+            self.edge.mark()
         self.l_advance.advance(self.frame, self.passed, self.tangential.bend, self.dt.array)  # Algorithm 7
+        if self.edge is not None:
+            self.edge.move(self.dt.array)
         if self.rim is not None:
             self.rim.confine()
         self.lists.record_l(self.at_rest, self.dt.array)
@@ -349,7 +361,7 @@ class Stepper:
 
 
 class NoFilm:
-    """Takes the place of a stepper when the last film of a foam has popped: time passes and nothing else happens."""
+    """Takes the place of a stepper when the last film has popped or burst: time passes and nothing else happens."""
 
     def __init__(self, film: Film, state: State):
         self.film, self.state, self.budget = film, state, None

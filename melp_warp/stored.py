@@ -33,7 +33,7 @@ PLACES = ("b.mirror", *(f"memory.{name}" for name in ("x", "mirror", "wide", "x_
 LARGEST_SIZE = 1e6
 """Largest spacing or radius of a film, m, and room of a list."""
 
-LENGTHS = {"e": "e.mass", "n": "e.x", "l": "l.x"}
+LENGTHS = {"e": "e.mass", "n": "e.x", "l": "l.x", "f": "f.x", "d": "d.x"}
 """Arrays that say how many particles there are, by the names of `State.sizes`."""
 
 
@@ -58,6 +58,7 @@ def check_stored(
     missing = [name for name in shapes if name in needed and name not in stored]
     require(not missing, "checkpoint", f"one without {', '.join(missing)}", "of this scene")
     regions = len(course.labels)
+    boundary = boundary if regions else 0  # no film, no frame
     sizes = {"r": regions, "b": boundary, **{tag: len(stored.get(name, ())) for tag, name in LENGTHS.items()}}
     sizes["p"] = count_parts(regions)
     require(sizes["n"] == sizes["e"] + boundary, "e.x", sizes["n"], f"{boundary} more than e.mass")
@@ -69,15 +70,19 @@ def check_stored(
         wanted = () if length is None else (sizes.get(length, length), *columns)
         require(array.shape == wanted, name, array.shape, f"of shape {wanted} for this scene")
         _check_values(name, array)
-    for kind in "el":
-        _check_ids(f"ids.{kind}", stored[f"ids.{kind}"])
+    for name in ("ids.e", "ids.l", "ids.d"):
+        if name in stored:
+            _check_ids(name, stored[name])
+    for name in ("f.after", "f.before"):
+        if name in stored:
+            _check_index(name, stored[name], sizes["f"], low=-1)
     for name, most in (("e.region", regions), ("l.region", regions), ("memory.home", sizes["e"])):
         if name in stored and regions:
             _check_index(name, stored[name], most)
     region = stored["e.region"][: sizes["e"]]
     whole = bool((np.diff(region) >= 0).all()) and len(np.unique(region)) == regions
     require(whole, "e.region", "another order", "ascending, with E of every region")
-    _check_gas(stored["gas"], closed=boundary == 0)
+    _check_gas(stored["gas"], closed=boundary == 0 and not course.holed)
     frame, time = int(stored["frame"]), float(stored["time"])
     require(0 <= frame <= 1_000_000, "frame", frame, "from 0 to 1000000")
     least = frame / fps * (1.0 - 1e-9)
@@ -90,7 +95,7 @@ def check_course(stored: object, scene: Scene) -> Course:
     names = {f.name for f in fields(Course)}
     right = isinstance(stored, dict) and set(stored) == names
     require(right, "course", sorted(stored)[:20] if isinstance(stored, dict) else stored, "what a run remembers")
-    others = ("builds", "labels", "unborn", "shown", "fresh", "pending", "ledger")
+    others = ("builds", "labels", "unborn", "shown", "fresh", "pending", "ledger", "punctured", "holed")
     numbers = {k: v for k, v in stored.items() if k not in others}
     for name, value in numbers.items():
         none = name == "layer_speed" and value is None
@@ -99,7 +104,13 @@ def check_course(stored: object, scene: Scene) -> Course:
     require(stored["cap"] >= least, "cap", stored["cap"], f"at least {least:.3g} s")
     require(stored["speed"] > 0.0, "speed", stored["speed"], "above 0 m/s")
     require(stored["paid"] <= 1.0, "paid", stored["paid"], "from 0 to 1")
-    _check_flag("fresh", stored["fresh"])
+    for name in ("fresh", "holed"):
+        _check_flag(name, stored[name])
+    holes = len(scene.bursting.punctures)
+    _check_whole("punctured", [stored["punctured"]])
+    require(stored["punctured"] <= holes, "punctured", stored["punctured"], f"at most {holes}, those of this scene")
+    bursts = scene.bursting.possible
+    require(bursts or not stored["holed"], "holed", stored["holed"], "false for a scene in which nothing bursts")
     for name in ("builds", "labels", "unborn"):
         _check_whole(name, stored[name])
     built = len(stored["builds"]) == 2 and (min(stored["builds"]) >= 1 or not stored["labels"])
@@ -108,7 +119,7 @@ def check_course(stored: object, scene: Scene) -> Course:
     require(isinstance(shown, list) and len(shown) == 3, "shown", shown, "three numbers")
     for value in shown:
         _check_number("shown", abs(value) if isinstance(value, float) else value, most=FARTHEST)
-    _check_labels(stored["labels"], stored["unborn"], cluster)
+    _check_labels(stored["labels"], stored["unborn"], cluster, stored["holed"])
     _check_whole("pending", [stored["pending"]])
     events = len(cluster.events) if cluster else 0
     require(stored["pending"] <= events, "pending", stored["pending"], f"at most {events}, the events of this scene")
@@ -225,11 +236,11 @@ def _check_whole(name: str, values: object) -> None:
     require(right, name, values, "whole numbers from 0")
 
 
-def _check_labels(labels: list[int], unborn: list[int], cluster: Cluster | None) -> None:
+def _check_labels(labels: list[int], unborn: list[int], cluster: Cluster | None, holed: bool) -> None:
     """Regions are bubbles of the scene, each once, none where all have popped; those to come are others."""
     bubbles = len(cluster.bubbles) if cluster else 1
     late = {k for k, b in enumerate(cluster.bubbles) if b.born > 0.0} if cluster else set()
-    some = len(labels) > 0 or cluster is not None
+    some = len(labels) > 0 or cluster is not None or holed
     known = some and len(set(labels)) == len(labels) and all(k < bubbles for k in labels)
     require(known, "labels", labels[:20], f"regions of this scene, 0 to {bubbles - 1}, each once")
     other = len(set(unborn)) == len(unborn) and set(unborn) <= late - set(labels)
@@ -259,9 +270,9 @@ def _check_values(name: str, array: np.ndarray) -> None:
         require(abs(worst - 1.0) <= UNIT, name, worst, "of unit length")
 
 
-def _check_index(name: str, index: np.ndarray, count: int) -> None:
-    low, high = int(index.min(initial=0)), int(index.max(initial=0))
-    require(low >= 0 and high < count, name, [low, high], f"from 0 to {count - 1}")
+def _check_index(name: str, index: np.ndarray, count: int, low: int = 0) -> None:
+    least, most = int(index.min(initial=0)), int(index.max(initial=low))
+    require(least >= low and most < count, name, [least, most], f"from {low} to {count - 1}")
 
 
 def _check_gas(gas: np.ndarray, closed: bool) -> None:

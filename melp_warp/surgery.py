@@ -40,7 +40,10 @@ class Stored:
     @classmethod
     def of(cls, state: State) -> Stored:
         """The state as it is now; what stages remember of it is of no use to another one."""
-        arrays = {k: a for k, a in state.numpy().items() if not k.startswith(("memory.", "ids."))}
+        stored = state.numpy()
+        arrays = {k: a for k, a in stored.items() if not k.startswith(("memory.", "ids."))}
+        if "memory.area" in stored:
+            arrays["memory.area"] = stored["memory.area"]  # found from the L at the start
         return cls(arrays, dict(state.ids), list(state.course.labels), state.course.spilled)
 
     @property

@@ -1,0 +1,289 @@
+"""Free rims: films burst at the speed of Taylor and Culick, and nothing of their liquid is lost."""
+
+import math
+
+import numpy as np
+import pytest
+
+from melp_warp.burst import RAYLEIGH, Rims, Thread
+from melp_warp.bursting import Bursting, Puncture
+from melp_warp.errors import InputError
+from melp_warp.material import Material, Surroundings
+from melp_warp.scene import Scene
+from melp_warp.shapes import Cap, Rectangle, Sphere
+from melp_warp.simulation import Simulation
+
+WIDTH, RADIUS = 0.1, 0.1
+
+
+def culick(material, thickness=None):
+    """Speed of a rim, m/s."""
+    sigma = material.tension - material.rt * material.surfactant
+    return math.sqrt(2.0 * sigma / (material.density * (thickness or material.thickness)))
+
+
+def film(material, punctures, e_count=900, l_per_e=4, breakup=0.0, frames=10, cross=0.5, shape=None, **fields):
+    """A film in which rims cross `cross` of its width in 10 frames."""
+    shape = shape or Rectangle(WIDTH, WIDTH)
+    fps = 10.0 * culick(material) / (cross * WIDTH)
+    bursting = Bursting(punctures, breakup=breakup)
+    return Scene("film", shape, e_count, l_per_e, material, bursting=bursting, fps=fps, frames=frames, **fields)
+
+
+def bubble(e_count=700, l_per_e=4, breakup=0.0, air="none", **more):
+    """A bubble that is punctured at its top, in 20 frames up to where a rim that runs around it comes to the bottom."""
+    material = Material(thickness=425e-9)
+    fps = 20.0 * culick(material) / (math.pi * RADIUS)
+    bursting = Bursting((Puncture((0.0, RADIUS, 0.0), 0.0),), breakup=breakup)
+    around = Surroundings(air=air)
+    return Scene(
+        "bubble", Sphere(RADIUS), e_count, l_per_e, material, around, bursting=bursting, fps=fps, frames=24, **more
+    )
+
+
+def liquid(simulation):
+    """Liquid in the film, its rims, drops and the frame, kg."""
+    line = simulation.diagnostics()
+    return line["mass"] + line["rim_mass"] + line["drop_mass"] + line["frame_mass"]
+
+
+def cut():
+    """A puncture that cuts a film in two along y = 0."""
+    return Puncture((-0.6 * WIDTH, 0.0, 0.0), 0.0, end=(0.6 * WIDTH, 0.0, 0.0))
+
+
+def height(simulation):
+    """Mean distance of rims from the middle of the film, m."""
+    return float(np.abs(simulation.state.f.x.numpy()[:, 1]).mean())
+
+
+def span(simulation):
+    """Mean distance of rim points from the origin, m."""
+    return float(np.linalg.norm(simulation.state.f.x.numpy(), axis=1).mean())
+
+
+@pytest.mark.parametrize("thickness", [300e-9, 800e-9])
+@pytest.mark.parametrize("tension", [0.0728, 0.03])
+@pytest.mark.parametrize("where", ["hole", "edge"])
+def test_a_rim_runs_at_the_speed_of_taylor_and_culick(thickness, tension, where):
+    """Constant over half of the film: 2 % between any two of six frames, and at each point of the rim."""
+    material = Material(thickness=thickness, tension=tension)
+    punctures = (Puncture((0.0, 0.0, 0.0), 0.0) if where == "hole" else cut(),)
+    simulation, places = Simulation(film(material, punctures)), []
+    measure = span if where == "hole" else height
+    for _ in range(8):
+        simulation.advance_frame()
+        places.append(measure(simulation))
+        speed = np.linalg.norm(simulation.state.f.u.numpy(), axis=1)
+        assert speed == pytest.approx(culick(material), rel=0.02)
+    np.testing.assert_allclose(np.diff(places) * simulation.scene.fps, culick(material), rtol=0.02)
+
+
+def test_the_place_of_a_rim_converges():
+    """A hole that opens from a point is at r = v t + r_0: the error falls with the spacing."""
+    material, errors = Material(thickness=400e-9), []
+    for e_count in (400, 900, 2025):
+        simulation = Simulation(film(material, (Puncture((0.0, 0.0, 0.0), 0.0, 0.005),), e_count, 4))
+        for _ in range(6):
+            simulation.advance_frame()
+        errors.append(abs(span(simulation) - 0.005 - culick(material) * simulation.time) / WIDTH)
+    assert errors[0] < 5e-3
+    assert errors[2] < 0.5 * errors[0]
+
+
+def test_a_rim_slows_down_where_the_film_gets_thicker():
+    """Across a step of thickness w^2 = v2^2 + (v1^2 - v2^2)(M1/M)^2, M1 the mass swept before it and M all."""
+    thin, thick, step = 300e-9, 600e-9, 0.02
+    material = Material(thickness=thin, surfactant=0.0)
+    scene = film(
+        material, (cut(),), 1600, 9, cross=0.5, thickness=lambda x: np.where(np.abs(x[:, 1]) < step, thin, thick)
+    )
+    simulation, seen = Simulation(scene), []
+    for _ in range(9):
+        simulation.advance_frame()
+        y = height(simulation)
+        middle = np.abs(simulation.state.f.x.numpy()[:, 0]) < 0.25 * WIDTH
+        seen.append((y, np.linalg.norm(simulation.state.f.u.numpy()[middle], axis=1).mean()))
+    v1, v2 = culick(material, thin), culick(material, thick)
+    beyond = [(y, w) for y, w in seen if y > step + 1.5 * simulation.film.spacing]
+    assert len(beyond) >= 3
+    for y, w in beyond:
+        before, whole = thin * step, thin * step + thick * (y - step)
+        assert w == pytest.approx(math.sqrt(v2**2 + (v1**2 - v2**2) * (before / whole) ** 2), rel=0.03)
+
+
+def test_the_momentum_of_a_rim_is_that_of_its_tension():
+    """Half of a cut film: 2 sigma times the length of its edge times the time, 1 %; it starts at that of its liquid."""
+    material = Material(thickness=400e-9)
+    simulation = Simulation(film(material, (cut(),), l_per_e=16))
+    sigma, seen = material.tension - material.rt * material.surfactant, []
+    for _ in range(8):
+        simulation.advance_frame()
+        rim = simulation.state.f
+        x = rim.x.numpy()
+        part = (x[:, 1] > 0.0) & (np.abs(x[:, 0]) < 0.3 * WIDTH)
+        length = part.sum() * np.ptp(x[part][:, 0]) / (part.sum() - 1)
+        pull = (rim.mass.numpy() * rim.u.numpy()[:, 1])[part].sum() / length
+        seen.append((simulation.time, pull))
+    (began, first), (ended, last) = seen[1], seen[-1]
+    assert last - first == pytest.approx(2.0 * sigma * (ended - began), rel=0.01)
+
+
+def test_all_liquid_of_a_film_goes_to_its_frame():
+    simulation = Simulation(film(Material(thickness=400e-9), (Puncture((0.01, 0.005, 0.0), 0.0),), frames=20))
+    before = liquid(simulation)
+    for _ in range(20):
+        simulation.advance_frame()
+        if not simulation.gone:
+            assert liquid(simulation) == pytest.approx(before, rel=1e-5)
+    line = simulation.diagnostics()
+    assert simulation.gone and line["e_count"] == 0 and len(simulation.particles("l").points) == 0
+    assert line["frame_mass"] + line["drop_mass"] == pytest.approx(before, rel=1e-5)
+
+
+def test_a_rim_runs_around_a_bubble():
+    """pi R/v from pole to pole where the shape stays: 3 %. All liquid is in drops then."""
+    simulation, crossed = Simulation(bubble(2000, 4)), None
+    before = liquid(simulation)
+    start = simulation.film.spacing / RADIUS
+    v = culick(simulation.scene.material)
+    while not simulation.gone and simulation.frame < 24:
+        simulation.advance_frame()
+        y = simulation.state.f.x.numpy()[:, 1]
+        if len(y) and simulation.frame <= 17:
+            angle = np.arccos(y.mean() / RADIUS)
+            assert angle == pytest.approx(start + v * simulation.time / RADIUS, rel=0.03)
+            crossed = angle
+    assert crossed > 2.5
+    assert simulation.time == pytest.approx(math.pi * RADIUS / v, rel=0.06)  # a frame is 5 % of it
+    assert simulation.diagnostics()["drop_mass"] == pytest.approx(before, rel=1e-5)
+
+
+@pytest.mark.parametrize(("l_per_e", "air"), [(0, "none"), (4, "added_mass")])
+def test_two_holes_meet(l_per_e, air):
+    """Rims that meet are one from then on, and what they held there flies off in drops."""
+    scene = bubble(700, l_per_e, 10.0, air)
+    punctures = (Puncture((0.0, RADIUS, 0.0), 0.0), Puncture((RADIUS, 0.0, 0.0), 1e-3))
+    object.__setattr__(scene, "bursting", Bursting(punctures, breakup=10.0))
+    simulation, rims = Simulation(scene), []
+    before = liquid(simulation)
+    for _ in range(20):
+        simulation.advance_frame()
+        rims.append(simulation.diagnostics()["rims"])
+        assert liquid(simulation) == pytest.approx(before, rel=1e-5)
+    assert 2 in rims and rims[-1] == 0
+    assert simulation.gone
+
+
+def test_a_film_ruptures_where_it_is_thin():
+    """By itself, at the place and not before."""
+    scene = film(
+        Material(thickness=400e-9, surfactant=0.0),
+        (),
+        thickness=lambda x: 400e-9 - 300e-9 * np.exp(-(((x - [0.02, 0.01, 0.0]) / 0.01) ** 2).sum(axis=1)),
+    )
+    whole = Simulation(scene)
+    assert whole.burst is None
+    object.__setattr__(scene, "bursting", Bursting(rupture_thickness=150e-9))
+    simulation = Simulation(scene)
+    simulation.advance_frame()
+    assert np.linalg.norm(simulation.state.f.x.numpy().mean(axis=0) - [0.02, 0.01, 0.0]) < simulation.film.spacing
+
+
+def test_drops_are_those_of_the_fastest_wave():
+    """9.01 radii of the thread apart, of 1.89 radii; all sums are kept."""
+    rng = np.random.default_rng(3)
+    n, radius, length, density = 400, 5e-5, 0.3, 998.0
+    part = length / n
+    mass = np.full(n, density * math.pi * radius**2 * part)
+    x = np.stack([(np.arange(n) + 0.5) * part, np.zeros(n), np.zeros(n)], axis=1)
+    u = rng.normal(size=(n, 3))
+    drops = Thread(x, u, mass, 1e-3 * mass, np.full(n, part)).drops(density)
+    count = length / (RAYLEIGH * radius)
+    assert len(drops["mass"]) == pytest.approx(count, abs=0.5)
+    size = np.cbrt(3.0 * drops["mass"] / (4.0 * math.pi * density))
+    np.testing.assert_allclose(size, 1.891 * radius, rtol=0.01)
+    assert drops["mass"].sum() == pytest.approx(mass.sum(), rel=1e-12)
+    np.testing.assert_allclose(drops["mass"] @ drops["u"], mass @ u, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(drops["x"][:, 0])[1:-1], RAYLEIGH * radius, rtol=0.01)
+
+
+def test_rims_keep_what_they_hold_while_points_come_and_go():
+    """A ring whose points are twice too far apart, or twice too near: sums to rounding, points even and on the ring."""
+    for count in (15, 200):
+        angle = 2.0 * np.pi * np.arange(count) / count
+        x = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
+        arrays = {f"f.{name}": np.ones(count) for name in ("inertia", "mass", "surfactant", "growth", "limit")}
+        arrays |= {"f.x": x, "f.u": x.copy(), "f.normal": np.tile([0.0, 0.0, 1.0], (count, 1)), "f.flow": 0.0 * x}
+        arrays |= {"f.film": np.ones((count, 2))}
+        arrays["f.after"], arrays["f.before"] = np.roll(np.arange(count), -1), np.roll(np.arange(count), 1)
+        rims = Rims.of(arrays)
+        rims.even(0.1, np.random.default_rng(0))
+        rims.store(arrays)
+        assert arrays["f.mass"].sum() == pytest.approx(count, rel=1e-12)
+        r = np.linalg.norm(arrays["f.x"], axis=1)
+        np.testing.assert_allclose(r, 1.0, atol=2e-3)
+        np.testing.assert_allclose(np.linalg.norm(arrays["f.u"], axis=1), 1.0, atol=0.02)
+        gap = np.linalg.norm(np.diff(arrays["f.x"], axis=0), axis=1)
+        assert gap.max() < 0.42 and gap.min() > 0.03
+
+
+def test_drops_fall():
+    """Without air freely, with it at the terminal speed of a sphere of 0.1 mm (Schiller and Naumann): 1 %."""
+    radius, nu, rho = 5e-5, 1.81e-5 / 1.2, 998.0
+
+    def excess(u):
+        reynolds = 2.0 * radius * u / nu
+        return 6.0 * math.pi * 1.2 * nu * radius * u * (1.0 + 0.15 * reynolds**0.687) - 4.19 * radius**3 * rho * 9.81
+
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        low, high = (low, 0.5 * (low + high)) if excess(0.5 * (low + high)) > 0.0 else (0.5 * (low + high), high)
+    scene = film(Material(thickness=400e-9), (Puncture((0.0, 0.0, 0.0), 0.0),), e_count=400)
+    for air, seconds, speed in (("none", 0.1, 0.981), ("added_mass", 0.5, low)):
+        around = Surroundings(gravity=(0.0, -9.81, 0.0), air=air)
+        object.__setattr__(scene, "surroundings", around)
+        simulation = Simulation(scene)
+        while not simulation.gone:
+            simulation.advance_frame()
+        drops = simulation.state.d
+        drops.mass.fill_(4.19 * radius**3 * scene.material.density)
+        drops.u.zero_()
+        for _ in range(200):
+            simulation.step(seconds / 200)
+        assert drops.u.numpy()[:, 1] == pytest.approx(-speed, rel=0.01)
+
+
+def test_bad_punctures_are_refused():
+    for bad in ((0.0, 0.0), (0.0, float("nan"), 0.0)):
+        with pytest.raises(InputError, match="puncture"):
+            Puncture(bad, 0.0)
+    with pytest.raises(InputError, match="time of a puncture must be at least 0 s"):
+        Puncture((0.0, 0.0, 0.0), -1.0)
+    for text in ("1,2,3", "1,2,3,4,5,6", "a,0,0,1"):
+        with pytest.raises(InputError, match="--puncture must be x,y,z,t"):
+            Puncture.parse(text)
+    assert Puncture.parse("0.1,0,0,2e-3,0.01") == Puncture((0.1, 0.0, 0.0), 2e-3, 0.01)
+    with pytest.raises(InputError, match="radius of a puncture must be at most"):
+        Simulation(film(Material(), (Puncture((0.0, 0.0, 0.0), 0.0, 0.05),), e_count=400)).advance_frame()
+
+
+def test_a_puncture_off_the_film_is_noticed_and_changes_nothing():
+    scene = film(Material(), (Puncture((0.0, 0.0, 1.0), 0.0),), e_count=400)
+    simulation = Simulation(scene)
+    simulation.advance_frame()
+    assert "puncture without effect" in simulation.notices.of_frame
+    assert not simulation.film.features.holed
+
+
+def test_a_cap_bursts():
+    """A film that is held by a frame and bends: the rim runs along it to the frame."""
+    material = Material(thickness=400e-9)
+    scene = film(material, (Puncture((0.0, 1.0, 0.0), 0.0),), 600, 4, shape=Cap(0.05), cross=0.8, frames=24)
+    object.__setattr__(scene, "bursting", Bursting((Puncture((0.0, 0.05, 0.0), 0.0),), breakup=0.0))
+    simulation = Simulation(scene)
+    before = liquid(simulation)
+    while not simulation.gone and simulation.frame < 24:
+        simulation.advance_frame()
+        assert liquid(simulation) == pytest.approx(before, rel=1e-5)
+    assert simulation.gone and simulation.diagnostics()["frame_mass"] > 0.9 * before
