@@ -775,6 +775,7 @@ def list_faces_v(
     face: wp.array(dtype=wp.vec3i),
     side: wp.array(dtype=wp.vec3i),
     edge: wp.array(dtype=wp.vec2i),
+    face_at: wp.array(dtype=wp.int32),
 ):
     """The triangles, the numbers of the edges after each of their corners, and the edges, lower vertex first.
 
@@ -786,6 +787,7 @@ def list_faces_v(
         face: [faces] corners.
         side: [faces] edges.
         edge: [edges] ends.
+        face_at: [entries of the rings] triangle of a vertex, its entry and the next one; -1 in, and for none.
     """
     i = wp.tid()
     f = face_start[i]
@@ -799,6 +801,9 @@ def list_faces_v(
         if a < n and b < n and i < a and i < b:
             if corner_after(rings, a, b) == i and corner_after(rings, i, a) == b:
                 face[f] = wp.vec3i(i, a, b)
+                face_at[rings.start[i] + k] = f
+                face_at[rings.start[a] + place_in(rings, a, b)] = f
+                face_at[rings.start[b] + place_in(rings, b, i)] = f
                 side[f] = wp.vec3i(
                     edge_of(rings, edge_start, n, i, a),
                     edge_of(rings, edge_start, n, a, b),

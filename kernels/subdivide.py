@@ -6,7 +6,7 @@ triangle row by row. Place (i, j) of a triangle is i/parts of the way to its sec
 
 import warp as wp
 
-from melp_warp.kernels.mesh import Rings, corner_after, entry_after, inside
+from melp_warp.kernels.mesh import Rings
 from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -212,6 +212,7 @@ def find_home_l(
     point: wp.array(dtype=wp.vec3),
     side: wp.array(dtype=wp.vec3),
     own: wp.array(dtype=wp.int32),
+    near: float,
     radius: float,
     # outputs
     home: wp.array(dtype=wp.int32),
@@ -227,56 +228,50 @@ def find_home_l(
         point: [n_l] L, m.
         side: [n_l] their unit normals.
         own: [n_l] their region.
+        near: distance within which it is for all but a few, m.
         radius: m.
         home: [n_l].
     """
     k = wp.tid()
     p = point[k]
     best = int(-1)
-    least = radius * radius
-    for j in wp.hash_grid_query(grid, p, radius):
-        d = wp.length_sq(x[j] - p)
-        if d < least and region[j] == own[k] and rings.count[j] > 0 and wp.dot(normal[j], side[k]) > 0.0:
-            least = d
-            best = j
+    reach = near
+    while best < 0 and reach > 0.0:
+        least = reach * reach
+        for j in wp.hash_grid_query(grid, p, reach):
+            d = wp.length_sq(x[j] - p)
+            if d < least and region[j] == own[k] and rings.count[j] > 0 and wp.dot(normal[j], side[k]) > 0.0:
+                least = d
+                best = j
+        reach = wp.where(reach < radius, radius, 0.0)
     home[k] = best
 
 
-@wp.func
-def face_of(rings: Rings, start: wp.array(dtype=wp.int32), n: int, a: int, b: int, c: int):
-    """Number of the triangle of these corners, and which of them comes first in it."""
-    low = wp.min(a, wp.min(b, c))
-    second = wp.where(low == a, b, wp.where(low == b, c, a))
-    f = start[low]
-    for k in range(rings.count[low]):
-        p = rings.index[rings.start[low] + k]
-        if p == second:
-            return f
-        q = entry_after(rings, low, k)
-        if p < n and q < n and low < p and low < q:
-            if corner_after(rings, p, q) == low and corner_after(rings, low, p) == q:
-                f += 1
-    return -1
-
-
-@wp.func
-def over(x: wp.array(dtype=wp.vec3), p: wp.vec3, a: int, b: int, c: int) -> wp.vec3:
-    """Barycentric coordinates of the point of a triangle next to p."""
-    n = wp.cross(x[b] - x[a], x[c] - x[a])
+@wp.kernel
+def slope_faces_v(
+    x: wp.array(dtype=wp.vec3),
+    face: wp.array(dtype=wp.vec3i),
+    # outputs
+    slope: wp.array2d(dtype=wp.vec3),
+):
+    """Gradients [faces, 2] (1/m) of the first two barycentric coordinates of each triangle, along it."""
+    f = wp.tid()
+    a = x[face[f][0]]
+    b = x[face[f][1]]
+    c = x[face[f][2]]
+    n = wp.cross(b - a, c - a)
     square = wp.max(wp.dot(n, n), 1.0e-30)
-    u = wp.dot(wp.cross(x[c] - x[b], p - x[b]), n) / square
-    v = wp.dot(wp.cross(x[a] - x[c], p - x[c]), n) / square
-    w = wp.vec3(wp.max(u, 0.0), wp.max(v, 0.0), wp.max(1.0 - u - v, 0.0))
-    return w / (w[0] + w[1] + w[2])
+    slope[f, 0] = wp.cross(n, c - b) / square
+    slope[f, 1] = wp.cross(n, a - c) / square
 
 
 @wp.kernel
 def find_face_l(
     x: wp.array(dtype=wp.vec3),
     rings: Rings,
-    n: int,
-    face_start: wp.array(dtype=wp.int32),
+    face_at: wp.array(dtype=wp.int32),
     face: wp.array(dtype=wp.vec3i),
+    slope: wp.array2d(dtype=wp.vec3),
     point: wp.array(dtype=wp.vec3),
     home: wp.array(dtype=wp.int32),
     # outputs
@@ -288,35 +283,34 @@ def find_face_l(
     Args:
         x: [n] vertices, m.
         rings: the mesh.
-        n: number of vertices.
-        face_start: [n] number of the first triangle of each vertex.
+        face_at: [entries of the rings] triangle of a vertex, its entry and the next one; -1 for none.
         face: [faces] corners.
+        slope: [faces, 2] gradients of the first two coordinates, 1/m.
         point: [n_l] L, m.
         home: [n_l] nearest vertex, -1 for none.
         lies_in: [n_l] triangle, -1 for none.
-        share: [n_l] coordinates with respect to its corners.
+        share: [n_l] coordinates with respect to its corners, none below 0.
     """
     k = wp.tid()
     i = home[k]
     lies_in[k] = -1
     if i >= 0:
         best = float(-1.0e30)
-        ia = int(-1)
-        ib = int(-1)
-        for m in range(rings.count[i]):
-            a = rings.index[rings.start[i] + m]
-            b = entry_after(rings, i, m)
-            if a < n and b < n and corner_after(rings, a, b) == i:
-                score = inside(x, point[k], i, a, b)
-                if score > best:
-                    best = score
-                    ia = a
-                    ib = b
-        if ia >= 0:
-            f = face_of(rings, face_start, n, i, ia, ib)
-            if f >= 0:
-                lies_in[k] = f
-                share[k] = over(x, point[k], face[f][0], face[f][1], face[f][2])
+        p = point[k]
+        w = wp.vec3(0.0, 0.0, 0.0)
+        for m in range(rings.start[i], rings.start[i] + rings.count[i]):
+            f = face_at[m]
+            if f >= 0 and best < 0.0:
+                u = wp.dot(slope[f, 0], p - x[face[f][1]])
+                v = wp.dot(slope[f, 1], p - x[face[f][2]])
+                least = wp.min(u, wp.min(v, 1.0 - u - v))
+                if least > best:
+                    best = least
+                    lies_in[k] = f
+                    w = wp.vec3(u, v, 1.0 - u - v)
+        if lies_in[k] >= 0:
+            w = wp.vec3(wp.max(w[0], 0.0), wp.max(w[1], 0.0), wp.max(w[2], 0.0))
+            share[k] = w / (w[0] + w[1] + w[2])
 
 
 @wp.kernel

@@ -41,8 +41,8 @@ CLOSE = 0.6
 CORNER = 0.35
 """Turn of a rim, rad, from which there is a rim point at it."""
 
-HOME = 2.0
-"""Distance within which the nearest vertex of an L is sought, spacings."""
+NEAR, HOME = 0.8, 2.0
+"""Distances within which the nearest vertex of an L is sought, spacings: the second where the first holds none."""
 
 EVEN = 0.85
 """Least distance of the L that a mesh is made of, E spacings: as many as there are E fit with that."""
@@ -71,7 +71,7 @@ class Coarse:
         face: [f] corners, counterclockwise seen from outside.
         side: [f] number of the edge after each corner.
         edge: [m] ends, the lower one first.
-        face_start: [n] number of the first triangle of each vertex.
+        face_at: [entries of the rings] number of the triangle of a vertex, its neighbour and the next one, -1 for none.
         rim: rim points.
         left_out: [k] E that are no corner of any triangle.
         agreed: triangles that all three corners had in their stars.
@@ -86,7 +86,7 @@ class Coarse:
     face: wp.array
     side: wp.array
     edge: wp.array
-    face_start: wp.array
+    face_at: wp.array
     rim: Rim
     left_out: np.ndarray
     agreed: int
@@ -222,7 +222,8 @@ def _close(x: wp.array, normal: wp.array, region: np.ndarray, rim: Rim, rows: Ne
     face, side = (wp.zeros(int(first[0][-1]), dtype=wp.vec3i, device=DEVICE) for _ in range(2))
     edge = wp.zeros(int(first[1][-1]), dtype=wp.vec2i, device=DEVICE)
     starts = [_ints(a) for a in first]
-    launch(km.list_faces_v, n, [rings, n, *starts], [face, side, edge], DEVICE)
+    face_at = wp.full(rings.index.shape[0], -1, dtype=wp.int32, device=DEVICE)
+    launch(km.list_faces_v, n, [rings, n, *starts], [face, side, edge, face_at], DEVICE)
     _check_faces(face.numpy(), side.numpy(), len(edge))
     return Coarse(
         x,
@@ -232,7 +233,7 @@ def _close(x: wp.array, normal: wp.array, region: np.ndarray, rim: Rim, rows: Ne
         face,
         side,
         edge,
-        starts[0],
+        face_at,
         rim,
         left_out=np.flatnonzero(rings.count.numpy()[:n] == 0),
         agreed=int(agreed.numpy().sum()) // 3,
@@ -366,15 +367,18 @@ def _take_liquid(coarse: Coarse, fine: _Fine, lagrangian: ParticleFrame, own: np
     """Thickness and black film of the L: volume over area of those around, scaled to the liquid of each region."""
     n, n_l = coarse.x.shape[0], len(lagrangian.points)
     grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=DEVICE)
-    radius = HOME * float(spacing.max())
+    near, radius = NEAR * float(spacing.max()), HOME * float(spacing.max())
     grid.build(coarse.x, radius)
     point, side = (wp.array(a, dtype=wp.vec3, device=DEVICE) for a in (lagrangian.points, lagrangian.normals))
     area = 0.25 * np.pi * lagrangian.widths.astype(np.float64) ** 2
     volume = area * lagrangian.thickness
     home, lies_in, share = _zeros(n_l), _zeros(n_l), wp.zeros(n_l, dtype=wp.vec3, device=DEVICE)
     shared = [Shared(coarse.x), Shared(coarse.normal), Shared(_ints(coarse.region)), coarse.rings]
-    launch_rows(ks.find_home_l, n_l, [grid.id, *shared, point, side, _ints(own), radius], [home], DEVICE)
-    given = [Shared(coarse.x), coarse.rings, n, Shared(coarse.face_start), Shared(coarse.face), point, home]
+    launch_rows(ks.find_home_l, n_l, [grid.id, *shared, point, side, _ints(own), near, radius], [home], DEVICE)
+    slope = wp.empty((coarse.face.shape[0], 2), dtype=wp.vec3, device=DEVICE)
+    launch(ks.slope_faces_v, slope.shape[0], [coarse.x, coarse.face], [slope], DEVICE)
+    faces = [Shared(a) for a in (coarse.face_at, coarse.face, slope)]
+    given = [Shared(coarse.x), coarse.rings, *faces, point, home]
     launch_rows(ks.find_face_l, n_l, given, [lies_in, share], DEVICE)
     floats = [wp.array(a, dtype=wp.float32, device=DEVICE) for a in (volume, area, lagrangian.black_film)]
     sums, wider = (wp.zeros(fine.place.shape[0], dtype=wp.vec3, device=DEVICE) for _ in range(2))
@@ -419,9 +423,9 @@ def _problems(coarse: Coarse, labels: np.ndarray) -> list[str]:
     """What is not closed."""
     faces, edge, n = coarse.face.numpy(), coarse.edge.numpy(), len(coarse.region)
     count = len(labels)
-    used = np.setdiff1d(np.arange(n), coarse.left_out)
     euler = (
-        np.bincount(coarse.region[used], minlength=count)
+        np.bincount(coarse.region, minlength=count)
+        - np.bincount(coarse.region[coarse.left_out], minlength=count)
         - np.bincount(coarse.region[edge[:, 0]], minlength=count)
         + np.bincount(coarse.region[faces[:, 0]], minlength=count)
     )
@@ -444,6 +448,8 @@ def _at(p: np.ndarray) -> str:
 
 def _holes(coarse: Coarse, faces: np.ndarray, n: int) -> list[list[int]]:
     """Corners of what is open, but for the rims."""
+    if 2 * coarse.edge.shape[0] - 3 * len(faces) == len(coarse.rim.points):  # each other edge has two faces
+        return []
     ends = np.concatenate([faces, np.roll(faces, -1, axis=1)], axis=0).reshape(2, -1).T.astype(np.int64)
     key, back = ends[:, 0] * n + ends[:, 1], ends[:, 1] * n + ends[:, 0]
     n_e = n - len(coarse.rim.points)
