@@ -31,10 +31,19 @@ _SAME_SIDE = 0.5
 def round_widths(widths: np.ndarray) -> np.ndarray:
     """Widths [n], float32, of few values: those within a step of each other share one, and keep their area together."""
     mantissa, exponent = np.frexp(widths)
-    step = np.ldexp(np.rint(mantissa * (2 * WIDTH_STEPS)), exponent)
-    known, row = np.unique(step, return_inverse=True)
-    square = np.bincount(row.reshape(-1), widths.astype(np.float64) ** 2, len(known))
-    return np.sqrt(square / np.maximum(np.bincount(row.reshape(-1), minlength=len(known)), 1))[row].astype(np.float32)
+    level = np.rint(2 * WIDTH_STEPS * mantissa).astype(np.int32)
+    step = (2 * WIDTH_STEPS + 1) * (exponent - exponent.min(initial=0)) + level
+    known, row = _numbered(step)
+    square = np.bincount(row, widths.astype(np.float64) ** 2, len(known))
+    return np.sqrt(square / np.maximum(np.bincount(row, minlength=len(known)), 1)).astype(np.float32)[row]
+
+
+def _numbered(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The codes that there are, ascending, and the number of each particle's among them, int32; codes are small."""
+    known = np.flatnonzero(np.bincount(codes))
+    number = np.zeros(known.max(initial=0) + 1, np.int32)
+    number[known] = np.arange(len(known))
+    return known, number[codes]
 
 
 def shown_thickness(thickness: np.ndarray) -> np.ndarray:
@@ -44,8 +53,8 @@ def shown_thickness(thickness: np.ndarray) -> np.ndarray:
 
 def pack_colors(thickness: np.ndarray, gain: float, index: float) -> tuple[np.ndarray, np.ndarray]:
     """Table [k, 3] of `optics.display_color`, float32, and the row of each particle [n], int32."""
-    known, row = np.unique(shown_thickness(thickness), return_inverse=True)
-    return display_color(known, gain, index), row.reshape(-1).astype(np.int32)
+    known, row = _numbered(np.rint(shown_thickness(thickness) / COLOR_STEP).astype(np.int32))
+    return display_color(COLOR_STEP * known, gain, index), row
 
 
 def pack_normals(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -53,18 +62,18 @@ def pack_normals(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     The sphere is laid out flat as an octahedron (Meyer et al., "On floating-point normal vectors", 2010).
     """
-    n = np.asarray(normals, dtype=np.float64)
+    n = np.asarray(normals, dtype=np.float32)
     flat = n[:, :2] / np.maximum(np.abs(n).sum(axis=1, keepdims=True), 1e-30)
     flat = np.where(n[:, 2:] < 0.0, (1.0 - np.abs(flat[:, ::-1])) * np.where(flat < 0.0, -1.0, 1.0), flat)
     most = DIRECTIONS - 1
     cell = np.clip(np.rint(0.5 * (flat + 1.0) * most), 0, most).astype(np.int32)
-    known, row = np.unique(cell[:, 0] * DIRECTIONS + cell[:, 1], return_inverse=True)
+    known, row = _numbered(cell[:, 0] * DIRECTIONS + cell[:, 1])
     at = np.stack([known // DIRECTIONS, known % DIRECTIONS], axis=1) * (2.0 / most) - 1.0
     up = 1.0 - np.abs(at).sum(axis=1, keepdims=True)
     at = np.where(up < 0.0, (1.0 - np.abs(at[:, ::-1])) * np.where(at < 0.0, -1.0, 1.0), at)
     table = np.concatenate([at, up], axis=1)
     table /= np.linalg.norm(table, axis=1, keepdims=True)
-    return table.astype(np.float32), row.reshape(-1).astype(np.int32)
+    return table.astype(np.float32), row
 
 
 def refine_normals(frame: ParticleFrame) -> ParticleFrame:
