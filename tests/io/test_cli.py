@@ -145,6 +145,8 @@ def test_progress_goes_to_stderr(tmp_path, capfd):
     assert "2/2" in told.err
     assert "steps/s" in told.err
     assert "steps/s" not in told.out
+    (bar,) = told.err.splitlines()  # without a terminal one line, which ends
+    assert told.err == f"{bar}\n"
 
 
 @pytest.mark.parametrize(
@@ -245,6 +247,13 @@ def test_picked_frames_span_the_run():
         (["run", "giant_bubble", "--set", "surfactant=1e-4"], ["surfactant must be", "below tension/(R T)"]),
         (["run", "giant_bubble", "--frames", "many"], ["frames must be a whole number", "'many'"]),
         (["run", "giant_bubble", "--frames", "-1"], ["frames must be a whole number from 0 to 999999, got -1"]),
+        (["run", "giant_bubble", "--frames", "-5"], ["frames must be a whole number from 0 to 999999, got -5"]),
+        (
+            ["run", "giant_bubble", "--frames", "1000000"],
+            ["frames must be a whole number from 0 to 999999, got 1000000"],
+        ),
+        (["run", "giant_bubble", "--out", ""], ["--out", "it must not be empty"]),
+        (["run", "giant_bubble", "--out", "/proc/foo"], ["--out must be a folder of a disk, got '/proc/foo'"]),
         (["run", "giant_bubble", "--fps", "0"], ["fps must be", "above 0"]),
         (["run", "giant_bubble", "--dt", "inf"], ["dt must be", "inf"]),
         (["run", "giant_bubble", "--cfl", "-1"], ["cfl must be", "0.01", "-1"]),
@@ -280,6 +289,21 @@ def test_a_run_does_not_overwrite_a_run(tmp_path, capsys):
     assert run("equilibrium", "--frames", 2, "--quiet", "--out", out, *FEW) == 2
     one_line(capsys, str(out))
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_what_a_system_folder_is_refused_before(monkeypatch, capsys):
+    """Before Warp is started, which took 13 s."""
+    monkeypatch.setattr(runner, "_start_warp", lambda: pytest.fail("Warp was started"))
+    assert run("giant_bubble", "--out", "/proc/foo") == 2
+    one_line(capsys, "a folder of a disk")
+
+
+def test_many_keys_do_not_bury_the_hint(capsys):
+    """It was followed by 45 names."""
+    assert run("giant_bubble", "--set", "radios=1") == 2
+    error = capsys.readouterr().err
+    assert "did you mean radius?" in error
+    assert len(error) < 120
 
 
 def test_an_empty_folder_is_taken(tmp_path):
@@ -532,6 +556,7 @@ def test_preview_of_several_frames(tmp_path, capsys):
     assert capsys.readouterr().out.split() == [str(name) for name in names]
     from PIL import Image
 
+    assert [Image.open(name).format for name in names] == ["JPEG", "JPEG"]
     first, second = (np.asarray(Image.open(name), int) for name in names)
     assert first.shape == (24, 40, 3)
     assert np.abs(first - second).max() > 20  # from another side
