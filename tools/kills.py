@@ -145,11 +145,12 @@ def main() -> None:
     took = {}
     for name, text in SCENES.items():
         (options.out / f"{name}.py").write_text(text)
-        before = time.monotonic()
-        process = start(options.out / f"{name}.py", options.out / f"{name}-alone", (), None)
-        if process.wait():
-            raise SystemExit(process.stderr.read())
-        took[name] = time.monotonic() - before
+        for _ in range(2):  # the first compiles, perhaps
+            before = time.monotonic()
+            process = start(options.out / f"{name}.py", options.out / f"{name}-alone", ("--overwrite",), None)
+            if process.wait():
+                raise SystemExit(process.stderr.read())
+            took[name] = time.monotonic() - before
     compiled = 0
     while kills < options.kills:
         name = list(SCENES)[made % len(SCENES)]
