@@ -251,7 +251,8 @@ class Burst:
         """Take away what rims have passed, break rims and join them, keep their points apart."""
         sim = self._sim
         spacing = sim.film.spacing
-        rng = np.random.default_rng([self.scene.seed, sim.state.frame, sim.stepper.steps, len(stored.arrays["f.x"])])
+        moment = int(np.float64(sim.state.time).view(np.uint64))  # the same in a run that goes on from here
+        rng = np.random.default_rng([self.scene.seed, moment, len(stored.arrays["f.x"])])
         rims = Rims.of(stored.arrays)
         self._break(stored, rims, rng)
         frame = self._at_frame(rims.point["x"])

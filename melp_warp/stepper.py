@@ -101,7 +101,6 @@ class Stepper:
         self._all = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.accounts: dict[str, Account] = {}
-        self.steps = 0
         self.whole = film.device.is_cuda
         rows = max(film.n_e, film.n_l)
         self._stages = {
@@ -146,7 +145,6 @@ class Stepper:
             self.edge.advance(dt)
         self.lists.look(dt)
         self.state.time += dt
-        self.steps += 1
 
     def prepare(self, dt: float) -> wp.array:
         """Set what depends on the step dt (s) to come; `dt` as the stages take it."""

@@ -69,8 +69,21 @@ def build(v):
     events = (Pop(0.02, 2), Merge(0.045, 0, 1))
     return Scene("foam", Cluster(bubbles, events=events), v.e_count, v.l_per_e, frames=v.frames, dt=1.0 / 240.0)
 """,
+    "burst": """
+from melp_warp.bursting import Bursting, Puncture
+from melp_warp.parameters import declare
+from melp_warp.scene import Scene
+from melp_warp.shapes import Sphere
+
+PARAMETERS = declare(radius=0.05, e_count=400, l_per_e=2, frames=6, fps=1000.0)
+
+
+def build(v):
+    bursting = Bursting((Puncture((0.0, v.radius, 0.0), 0.002),))
+    return Scene("burst", Sphere(v.radius), v.e_count, v.l_per_e, frames=v.frames, fps=v.fps, bursting=bursting)
+""",
 }
-"""Scene files: a closed film in air, a drum, bubbles that pop, come and merge."""
+"""Scene files: a closed film in air, a drum, bubbles that pop, come and merge, a bubble that bursts."""
 
 LEFT_OUT = ("wall_ms",)
 """What a log says of the machine, not of the film."""

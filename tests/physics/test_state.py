@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from melp_warp import limits
+from melp_warp.bursting import Bursting, Puncture
 from melp_warp.cluster import Bubble, Cluster, Merge, Pop, Wall
 from melp_warp.errors import CrowdedError
 from melp_warp.material import Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
-from melp_warp.shapes import Cap, Disc
+from melp_warp.shapes import Cap, Disc, Rectangle, Sphere
 from melp_warp.simulation import Simulation
 from melp_warp.validation import small_giant
 
@@ -71,6 +72,12 @@ def gone():
     return Scene("gone", Cluster(bubbles, events=(Pop(0.03, 0),)), 200, 1)
 
 
+def punctured(shape, place, l_per_e):
+    """A film whose rim breaks into drops."""
+    bursting = Bursting((Puncture(place, 0.0005),))
+    return Scene("burst", shape, 400, l_per_e, fps=1000.0, bursting=bursting)
+
+
 SCENES = {
     "closed": lambda: small_giant(300, 4),
     "auto": lambda: small_giant(300, 4, dt=None, air="none"),
@@ -94,6 +101,8 @@ SCENES = {
     "vortices": lambda: small_giant(300, 4, carrier="circulation"),
     "vortices in a disc": lambda: Scene("flat", Disc(0.05), 300, 4, velocity=whirl, numerics=CARRIED),
     "vortices in a foam": lambda: replace(foam(), numerics=Numerics(cfl=0.5, exchange=50.0, carrier="circulation")),
+    "burst": lambda: punctured(Sphere(0.05), (0.0, 0.05, 0.0), 2),
+    "burst sheet": lambda: punctured(Rectangle(0.1, 0.1), (0.01, 0.0, 0.0), 1),
     "flat single": lambda: Scene("single", Disc(0.05), 300, velocity=whirl, numerics=Numerics(layers=1), fps=300.0),
 }
 
