@@ -24,6 +24,9 @@ DIRECTIONS = 32
 SUPPORT = 3.0
 """Radius within which the film is fitted, spacings of the particles."""
 
+MOST_NEAR = 1000
+"""Particles in a cube as wide as that radius; where there are more it is no film, and nothing is fitted."""
+
 _SAME_SIDE = 0.5
 """Least product of the stored normals of particles that lie on one sheet."""
 
@@ -76,6 +79,13 @@ def pack_normals(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return table.astype(np.float32), row
 
 
+def _most_in_a_cube(x: np.ndarray, width: float) -> int:
+    """Most points [n, 3] in a cube of a lattice."""
+    cell = np.floor((x - x.min(axis=0)) / width)
+    _, count = np.unique(cell @ [1.0, 1e6 + 3.0, 1e12 + 39.0], return_counts=True)
+    return int(count.max())
+
+
 def refine_normals(frame: ParticleFrame) -> ParticleFrame:
     """The frame with normals of the film that its points lie on, where those it has tell no more than the side.
 
@@ -86,6 +96,8 @@ def refine_normals(frame: ParticleFrame) -> ParticleFrame:
         return frame
     x, normal = frame.points.astype(np.float64), frame.normals.astype(np.float64)
     radius = SUPPORT * max(float(np.sqrt(0.25 * np.pi * np.mean(frame.widths.astype(np.float64) ** 2))), 1e-9)
+    if _most_in_a_cube(x, radius) > MOST_NEAR:
+        return frame
     aside = np.where(np.abs(normal[:, 2:]) > 0.7, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
     e1 = np.cross(aside, normal)
     e1 /= np.linalg.norm(e1, axis=1, keepdims=True)

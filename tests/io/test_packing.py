@@ -111,6 +111,16 @@ def test_normals_are_those_of_the_surface_through_the_points(count, error):
     assert off.max() < 8.0 * error
 
 
+def test_a_crowd_is_no_film():
+    """A million points in one place have as many neighbours each, and would be fitted for days."""
+    n = 1_000_000
+    arrays = {
+        f.name: np.repeat(getattr(on_ellipsoid(1), f.name), n, axis=0) for f in dataclasses.fields(ParticleFrame)[:-1]
+    }
+    crowd = ParticleFrame(**arrays)
+    assert packing.refine_normals(crowd) is crowd
+
+
 def test_sheets_that_lie_side_by_side_are_kept_apart():
     """A bubble within another one, half a spacing off, of the same region and of another one."""
     outer, apart = Sphere(0.05).sample(2000), 0.0005
