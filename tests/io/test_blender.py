@@ -10,7 +10,8 @@ import pytest
 
 from melp_warp import cli
 from melp_warp.blender import SCRIPT, TABLES
-from melp_warp.optics import color_table
+from melp_warp.optics import color_table, display_color
+from melp_warp.packing import shown_thickness
 from melp_warp.usd import read_frame, read_mesh
 
 LOOK = """
@@ -32,10 +33,10 @@ for frame in (0, 2):
     for one in shown:
         data = one.evaluated_get(graph).data
         for a in data.attributes:
-            width = {"FLOAT": 1, "INT": 1, "FLOAT_VECTOR": 3}.get(a.data_type)
+            width = {"FLOAT": 1, "INT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4}.get(a.data_type)
             if width and a.domain == "POINT":
                 values = np.zeros(width * len(a.data), np.int32 if a.data_type == "INT" else np.float32)
-                a.data.foreach_get("vector" if width == 3 else "value", values)
+                a.data.foreach_get({3: "vector", 4: "color"}.get(width, "value"), values)
                 arrays[f"{one.name.split('.')[0]}/{frame}/{a.name}"] = values.reshape(-1, width)
 np.savez(sys.argv[2], **arrays)
 print("FOUND" + json.dumps(found))
@@ -91,6 +92,11 @@ def test_meshes_and_points_arrive(cache, tmp_path):
         film = read_frame(cache, frame)
         np.testing.assert_array_equal(there[f"Film/{frame}/position"], film.points)
         np.testing.assert_array_equal(there[f"Film/{frame}/thickness"][:, 0], film.thickness)
+        colors = display_color(shown_thickness(film.thickness))  # tables of a packed set are taken apart
+        np.testing.assert_array_equal(there[f"Film/{frame}/displayColor"][:, :3], colors)
+        turned = there[f"Film/{frame}/normals"]
+        assert turned.shape == film.normals.shape
+        assert np.abs(np.linalg.norm(turned, axis=1) - 1.0).max() < 1e-5
     from PIL import Image
 
     with Image.open(picture) as image:
