@@ -5,17 +5,19 @@ Works on a state as `State.numpy` gives it and gives one of other sizes back, fr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from melp_warp.bursting import Puncture
 from melp_warp.errors import InputError, SimulationError
+from melp_warp.fits import nearest_distance, squares
+from melp_warp.frame import ParticleFrame
 from melp_warp.free_rim import REACH, RIM_CFL, SIGHT
 from melp_warp.kernels import free_rim as kr
 from melp_warp.launch import launch
+from melp_warp.rims import FEWEST, POINT, ROUND, SUMS, Rims, Thread, breaking_points
 from melp_warp.surgery import Stored
 
 if TYPE_CHECKING:
@@ -36,27 +38,6 @@ PIECE = 1.8
 FRAME = 0.5
 """Distance from a frame at which a rim has come to it, spacings."""
 
-FEWEST = 4
-"""Points of the shortest rim; E of the smallest film."""
-
-ROUND = 24
-"""Points of a small hole."""
-
-RAYLEIGH = 9.01
-"""Length of a thread that becomes a drop, in its radii (the fastest of its waves)."""
-
-STEADY = 0.87
-"""Cosine of half the angle between points of a rim beyond which they hit each other."""
-
-UNEVEN = 0.3
-"""Relative spread of the growth at which points of a rim break, so that they do not break all at once."""
-
-POINT = ("x", "u", "inertia", "mass", "surfactant", "normal", "flow", "film", "growth", "limit")
-"""What the points of a rim hold besides their places in a chain."""
-
-SUMS = ("inertia", "mass", "surfactant")
-"""What of that adds up."""
-
 
 class Burst:
     """The holes of one run; what is still to come is in the state, see `Course`."""
@@ -66,6 +47,10 @@ class Burst:
         self._sim = simulation
         self._opened: int | None = None
         self._moved = False
+
+    @property
+    def _holed(self) -> bool:
+        return self._sim.film.features.holed and not self._sim.gone
 
     @property
     def pending(self) -> list[Puncture]:
@@ -80,7 +65,7 @@ class Burst:
     def longest_step(self) -> float:
         """Step in which the fastest rim runs `RIM_CFL` spacings, s."""
         sim = self._sim
-        edge = sim.stepper.edge if sim.film.features.holed and not sim.gone else None
+        edge = sim.stepper.edge if self._holed else None
         speed = edge.fastest() if edge is not None else 0.0
         return RIM_CFL * sim.film.spacing / speed if speed > 0.0 else np.inf
 
@@ -97,7 +82,7 @@ class Burst:
     def after_step(self, dt: float) -> None:
         """Count how far the rims have run, and let drops fly."""
         sim = self._sim
-        if sim.film.features.holed and not sim.gone:
+        if self._holed:
             speed = sim.stepper.edge.fastest()
             if not np.isfinite(speed):
                 raise SimulationError("stage rim: a point of a free rim is not finite")
@@ -157,7 +142,15 @@ class Burst:
         state = self._sim.state
         rim = state.f
         rims = Rims.of({f"f.{name}": getattr(rim, name).numpy() for name in (*POINT, "after", "before")})
+        there = {"e": state.e.behind, "l": state.l.behind if state.l else None} if self._holed else {}
+        count = {f"{kind}_count": int((a.numpy() == 0).sum()) for kind, a in there.items() if a is not None}
+        area = {}
+        if self._holed:
+            own = self._sim.stepper.geometry.area.numpy()
+            area["area"] = float(own[state.e.behind.numpy() == 0].sum(dtype=np.float64))
         return {
+            **count,
+            **area,
             "rims": len(rims.chains),
             "rim_length": float(rims.halves().sum()) if rims.chains else 0.0,
             "rim_mass": float(rim.mass.numpy().sum()),
@@ -166,6 +159,29 @@ class Burst:
             "drop_mass": float(state.d.mass.numpy().sum(dtype=np.float64)),
             "frame_mass": state.course.rest,
         }
+
+    def particles(self, which: str) -> ParticleFrame:
+        """The free rims ("rims"), as beads that lie close enough to be threads, or the drops ("drops").
+
+        `thickness` is the diameter, and `region` of rims the number of the rim; beads are in order along it, and of one
+        that is closed the last lies near the first.
+        """
+        sim = self._sim
+        shift = sim.state.origin - sim.origin
+        if which == "drops":
+            drops = sim.state.d
+            x, u, mass = (a.numpy().astype(np.float64) for a in (drops.x, drops.u, drops.mass))
+            width = 2.0 * np.cbrt(3.0 * mass / (4.0 * np.pi * self.scene.material.density))
+            return _beads(x + shift, u, width, np.tile([0.0, 1.0, 0.0], (len(x), 1)), sim.origin, sim.state.ids["d"])
+        rim = sim.state.f
+        rims = Rims.of({f"f.{name}": getattr(rim, name).numpy() for name in (*POINT, "after", "before")})
+        parts = [rims.beads(chain, self.scene.material.density, sim.film.spacing) for chain in rims.chains]
+        if not parts:
+            return ParticleFrame.empty(tuple(sim.origin.tolist()))
+        x, u, width, normal = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        frame = _beads(x + shift, u, width, normal, sim.origin, np.arange(len(x)))
+        frame.region = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part[0]) for part in parts])
+        return frame
 
     def sums(self) -> np.ndarray:
         """The sums of `kernels.diagnostics.summarize_chunks` over the film that is there. [12]."""
@@ -220,7 +236,7 @@ class Burst:
             centre = x[i]
         end = centre if one.end is None else np.array(one.end) - sim.state.origin
         ring = _ring(centre, end, normal, radius, POINTS * film.spacing)
-        nearest = np.concatenate([np.argmin(_squares(part, x), axis=1) for part in np.array_split(ring, len(ring))])
+        nearest = np.concatenate([np.argmin(squares(part, x), axis=1) for part in np.array_split(ring, len(ring))])
         normals = e.normal.numpy()[nearest].astype(np.float64)
         ring -= (((ring - x[nearest]) * normals).sum(axis=1, keepdims=True)) * normals
         flow = e.u.numpy()[nearest]
@@ -233,7 +249,7 @@ class Burst:
         old = len(arrays["f.x"])
         rng = np.random.default_rng([self.scene.seed, old, self._sim.state.course.punctured, k])
         new = {name: np.zeros((k, *arrays[f"f.{name}"].shape[1:])) for name in POINT}
-        new |= {"x": ring, "normal": normals, "flow": flow, "film": seen, "limit": _limits(k, rng)}
+        new |= {"x": ring, "normal": normals, "flow": flow, "film": seen, "limit": breaking_points(k, rng)}
         out = np.cross(np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0), normals)
         new["u"] = flow + speed * out / np.linalg.norm(out, axis=1, keepdims=True)
         for name, values in new.items():
@@ -287,7 +303,7 @@ class Burst:
             self._spray(stored, [rims.thread(run)])
         for name in (*SUMS, "growth"):
             point[name][broken] = 0.0
-        point["limit"][broken] = _limits(int(broken.sum()), rng)
+        point["limit"][broken] = breaking_points(int(broken.sum()), rng)
 
     def _close(self, stored: Stored, rims: Rims, met: np.ndarray) -> None:
         """Give the film that is left between rims that have met to their points `met`."""
@@ -298,10 +314,10 @@ class Burst:
         for name in {flag, "e.behind"}:
             which = name[0]
             there = np.flatnonzero(arrays[name] == 0)
-            away = _distances(arrays[f"{which}.x"][there], place)
+            away = nearest_distance(arrays[f"{which}.x"][there], place)
             between = there[away < 0.5 * MEET * self._sim.film.spacing]
             if name == flag and len(between):
-                nearest = met[np.argmin(_squares(arrays[f"{kind}.x"][between], place), axis=1)]
+                nearest = met[np.argmin(squares(arrays[f"{kind}.x"][between], place), axis=1)]
                 for what in ("mass", "surfactant"):
                     np.add.at(rims.point[what], nearest, arrays[f"{kind}.{what}"][between].astype(np.float64))
             arrays[name][between] = 1
@@ -322,7 +338,7 @@ class Burst:
         points = np.concatenate([rims.point["x"][chain.index] for chain in rims.chains] or [np.zeros((0, 3))])
         held = np.zeros(n, dtype=bool)
         if len(points):
-            held[piece[live & (_distances(x, points) < PIECE * spacing)]] = True
+            held[piece[live & (nearest_distance(x, points) < PIECE * spacing)]] = True
         lost = live & ~held[piece]
         return [self._take(stored, lost & (piece == k)) for k in np.unique(piece[lost])]
 
@@ -345,7 +361,9 @@ class Burst:
     def _blind(self, stored: Stored, x: np.ndarray) -> np.ndarray:
         """[n] whether points have no film before them any more."""
         there = stored.arrays["e.x"][: self._sim.film.n_e][stored.arrays["e.behind"] == 0]
-        return _distances(x, there) > SIGHT * self._sim.film.spacing if len(there) else np.ones(len(x), dtype=bool)
+        return (
+            nearest_distance(x, there) > SIGHT * self._sim.film.spacing if len(there) else np.ones(len(x), dtype=bool)
+        )
 
     def _at_frame(self, x: np.ndarray) -> np.ndarray:
         """[n] whether points have come to the frame of an open film."""
@@ -353,7 +371,7 @@ class Burst:
         if held is None or not len(x):
             return np.zeros(len(x), dtype=bool)
         anchors, outward = held.anchors.numpy(), held.outward.numpy()
-        near = np.argmin(_squares(x, anchors), axis=1)
+        near = np.argmin(squares(x, anchors), axis=1)
         beyond = ((x - anchors[near]) * outward[near]).sum(axis=1)
         return beyond > -FRAME * self._sim.film.spacing
 
@@ -365,8 +383,9 @@ class Burst:
 
     def _spray(self, stored: Stored, threads: list[Thread]) -> None:
         """Break threads of liquid into drops, as many as the fastest wave makes of them; sums are kept."""
-        arrays, density = stored.arrays, self.scene.material.density
-        made = [thread.drops(density) for thread in threads if thread.mass.sum() > 0.0]
+        arrays, m = stored.arrays, self.scene.material
+        rng = np.random.default_rng([self.scene.seed, len(arrays["d.x"]), len(threads)])
+        made = [thread.drops(m.density, m.film_tension, rng) for thread in threads if thread.mass.sum() > 0.0]
         if not made:
             return
         first = int(stored.ids["d"].max(initial=-1)) + 1
@@ -383,7 +402,7 @@ class Burst:
         behind = np.flatnonzero(arrays["e.behind"] == 1)
         kept = np.ones(film.n_e, dtype=bool)
         if len(behind):
-            away = _distances(arrays["e.x"][behind], arrays["f.x"])
+            away = nearest_distance(arrays["e.x"][behind], arrays["f.x"])
             kept[behind[away > film.r + POINTS * film.spacing]] = False
         if kept.all():
             return
@@ -401,7 +420,7 @@ class Burst:
         if self._sim.film.rim is not None:
             self._sim.state.course.rest += float(mass.sum())
         elif lost.any():
-            nearest = np.argmin(_squares(arrays["l.x"][lost], arrays["f.x"]), axis=1)
+            nearest = np.argmin(squares(arrays["l.x"][lost], arrays["f.x"]), axis=1)
             np.add.at(arrays["f.mass"], nearest, mass)
             np.add.at(arrays["f.surfactant"], nearest, arrays["l.surfactant"][lost].astype(np.float64))
 
@@ -440,6 +459,21 @@ def keep_e(stored: Stored, kept: np.ndarray) -> None:
     stored.ids["e"] = stored.ids["e"][kept]
 
 
+def _beads(x, u, width, normal, origin: np.ndarray, ids: np.ndarray) -> ParticleFrame:
+    """Beads of liquid as a set of particles."""
+    return ParticleFrame(
+        points=x.astype(np.float32),
+        velocities=u.astype(np.float32),
+        ids=ids.astype(np.int64),
+        widths=width.astype(np.float32),
+        normals=normal.astype(np.float32),
+        thickness=(1e9 * width).astype(np.float32),
+        region=np.zeros(len(x), dtype=np.int32),
+        black_film=np.zeros(len(x), dtype=np.int32),
+        origin=tuple(origin.tolist()),
+    )
+
+
 def _ring(start: np.ndarray, end: np.ndarray, normal: np.ndarray, radius: float, length: float) -> np.ndarray:
     """Points around a line from start to end, counterclockwise as the normal sees it: a circle where both are one."""
     way = end - start
@@ -467,318 +501,3 @@ def _pieces(n: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         if np.array_equal(least, piece):
             return piece
         piece = least
-
-
-def _squares(x: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Squared distances of x [n, 3] from points [m, 3]. [n, m]."""
-    return ((x[:, None] - points[None]) ** 2).sum(axis=2)
-
-
-def _limits(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Growth at which points break, over the scene's. [count]."""
-    return 1.0 + UNEVEN * rng.uniform(-1.0, 1.0, count)
-
-
-def _distances(x: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Distance of each of x [n, 3] from the nearest of some points, m."""
-    parts = np.array_split(x.astype(np.float64), 1 + len(x) * len(points) // 2_000_000)
-    return np.concatenate([np.sqrt(_squares(p, points).min(axis=1)) for p in parts])
-
-
-@dataclass
-class Thread:
-    """A thread of liquid: points in order with what each holds.
-
-    Attributes:
-        x: [n, 3] m.
-        u: [n, 3] m/s.
-        mass: [n] kg.
-        surfactant: [n] mol.
-        length: [n] share of the thread's length, m.
-    """
-
-    x: np.ndarray
-    u: np.ndarray
-    mass: np.ndarray
-    surfactant: np.ndarray
-    length: np.ndarray
-
-    def drops(self, density: float) -> dict[str, np.ndarray]:
-        """What the thread breaks into: drops as far apart as its fastest wave is long, which keep all sums."""
-        mass, length = self.mass.sum(), self.length.sum()
-        radius = np.sqrt(mass / (np.pi * density * length))
-        count = max(1, round(length / (RAYLEIGH * radius)))
-        along = np.cumsum(self.length) - 0.5 * self.length
-        edges = np.concatenate([[0.0], np.cumsum(self.mass)]) / mass
-        bounds = np.linspace(0.0, 1.0, count + 1)
-        share = np.clip(
-            np.minimum(bounds[1:, None], edges[None, 1:]) - np.maximum(bounds[:-1, None], edges[None, :-1]), 0.0, None
-        )
-        share *= mass / np.where(self.mass > 0.0, self.mass, 1.0)[None]  # [drops, points] part of what a point holds
-        drop = share @ self.mass
-        middle = (np.arange(count) + 0.5) / count * length
-        x = np.stack([np.interp(middle, along, self.x[:, c]) for c in range(3)], axis=1)
-        return {
-            "x": x,
-            "u": (share @ (self.mass[:, None] * self.u)) / drop[:, None],
-            "mass": drop,
-            "surfactant": share @ self.surfactant,
-        }
-
-
-@dataclass
-class Chain:
-    """A rim: indices of its points in order, and whether it is a loop; one that is not ends at a frame."""
-
-    index: np.ndarray
-    loop: bool
-
-
-class Rims:
-    """All rims, on the host.
-
-    Attributes:
-        point: what their points hold, by name.
-        chains: their order.
-    """
-
-    def __init__(self, point: dict[str, np.ndarray], chains: list[Chain]):
-        self.point, self.chains = point, chains
-
-    @classmethod
-    def of(cls, arrays: dict[str, np.ndarray]) -> Rims:
-        """The rims of a stored state, in float64."""
-        point = {name: arrays[f"f.{name}"].astype(np.float64) for name in POINT}
-        after, before = arrays["f.after"], arrays["f.before"]
-        left, chains = np.ones(len(after), dtype=bool), []
-        for start in [*np.flatnonzero(before < 0).tolist(), *range(len(after))]:
-            if left[start]:
-                index, k = [], start
-                while k >= 0 and left[k]:
-                    left[k] = False
-                    index.append(k)
-                    k = int(after[k])
-                chains.append(Chain(np.array(index), k >= 0))
-        return cls(point, chains)
-
-    def store(self, arrays: dict[str, np.ndarray]) -> None:
-        """Put the rims into a stored state, chain by chain."""
-        order = np.concatenate([chain.index for chain in self.chains] or [np.zeros(0, int)]).astype(int)
-        for name in POINT:
-            arrays[f"f.{name}"] = self.point[name][order].astype(arrays[f"f.{name}"].dtype)
-        after, before, first = np.full(len(order), -1), np.full(len(order), -1), 0
-        for chain in self.chains:
-            k = first + np.arange(len(chain.index))
-            after[k[:-1]], before[k[1:]] = k[1:], k[:-1]
-            if chain.loop:
-                after[k[-1]], before[k[0]] = k[0], k[-1]
-            first += len(k)
-        arrays["f.after"], arrays["f.before"] = after.astype(np.int32), before.astype(np.int32)
-
-    def runs(self, chosen: np.ndarray) -> Iterator[np.ndarray]:
-        """Indices of the points of a mask that follow each other, run by run."""
-        for chain in self.chains:
-            index = chain.index
-            inside = chosen[index]
-            if inside.all():
-                yield index
-                continue
-            if chain.loop:
-                turn = int(np.argmin(inside))
-                index, inside = np.roll(index, -turn), np.roll(inside, -turn)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-            for start, stop in zip(edges[::2], edges[1::2], strict=True):
-                yield index[start:stop]
-
-    def thread(self, index: np.ndarray) -> Thread:
-        """The liquid of points that follow each other."""
-        point, half = self.point, self.halves()
-        return Thread(*(point[name][index] for name in ("x", "u", "mass", "surfactant")), half[index])
-
-    def halves(self) -> np.ndarray:
-        """[n] length of the rim that each point stands for, m."""
-        half = np.zeros(len(self.point["x"]))
-        for chain in self.chains:
-            gap = self._gaps(chain)
-            half[chain.index] += 0.5 * gap
-            half[np.roll(chain.index, -1)] += 0.5 * gap
-        return np.maximum(half, 1e-12)
-
-    def _gaps(self, chain: Chain) -> np.ndarray:
-        """[n] distance from each point of a chain to the next; 0 from the last of one that is no loop."""
-        x = self.point["x"][chain.index]
-        gap = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
-        if not chain.loop:
-            gap[-1] = 0.0
-        return gap
-
-    def conormals(self) -> np.ndarray:
-        """[n, 3] unit vectors from the hole into the film."""
-        out = np.zeros_like(self.point["x"])
-        for chain in self.chains:
-            x = self.point["x"][chain.index]
-            along = np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0)
-            if not chain.loop and len(x) > 1:
-                along[0], along[-1] = x[1] - x[0], x[-1] - x[-2]
-            across = np.cross(along, self.point["normal"][chain.index])
-            out[chain.index] = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
-        return out
-
-    def meet(self, reach: float) -> np.ndarray:
-        """[n] whether points have come within `reach` (m) of a rim that runs against them."""
-        x, out = self.point["x"], self.conormals()
-        met = np.zeros(len(x), dtype=bool)
-        for part in np.array_split(np.arange(len(x)), 1 + len(x) ** 2 // 2_000_000):
-            way = x[None] - x[part, None]
-            near = (way**2).sum(axis=2) < reach**2
-            against = out[part] @ out.T < -0.2
-            ahead = (way * out[part, None]).sum(axis=2) > 0.0
-            met[part] = (near & against & ahead).any(axis=1)
-        return met
-
-    def cut(self, gone: np.ndarray, liquid: np.ndarray, length: float) -> list[Thread]:
-        """Take points out, and join the ends that are left of rims that met; what is too short goes, too.
-
-        Args:
-            gone: [n] mask of the points that go.
-            liquid: [n] those of them that met another rim: the ends beside them are free to be joined.
-            length: usual distance of points, m.
-
-        Returns:
-            The liquid of the points that went.
-        """
-        threads = [self.thread(run) for run in self.runs(liquid)]
-        if not gone.any():
-            return threads
-        half = self.halves()
-        runs, whole = [], []
-        for chain in self.chains:
-            if not gone[chain.index].any():
-                whole.append(chain)
-                continue
-            index = chain.index
-            inside = ~gone[index]
-            if not inside.any():
-                continue
-            if chain.loop:
-                turn = int(np.argmax(~inside))
-                index, inside = np.roll(index, -turn), np.roll(inside, -turn)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-            for start, stop in zip(edges[::2], edges[1::2], strict=True):
-                free = [
-                    (start > 0 or chain.loop) and bool(liquid[index[start - 1]]),
-                    (stop < len(index) or chain.loop) and bool(liquid[index[stop % len(index)]]),
-                ]
-                runs.append((index[start:stop], *free))
-        chains = [*whole, *self._join(runs, 8.0 * length)]
-        self.chains = []
-        for chain in chains:
-            if len(chain.index) >= FEWEST or (not chain.loop and len(chain.index) > 1):
-                self.chains.append(chain)
-            else:
-                point = self.point
-                names = ("x", "u", "mass", "surfactant")
-                threads.append(Thread(*(point[name][chain.index] for name in names), half[chain.index]))
-        return threads
-
-    def _join(self, runs: list[tuple[np.ndarray, bool, bool]], reach: float) -> list[Chain]:
-        """Chains from runs of points: each free end goes on with the nearest free start."""
-        x = self.point["x"]
-        links = sorted(
-            (float(np.linalg.norm(x[a[-1]] - x[b[0]])), i, j)
-            for i, (a, _, open_end) in enumerate(runs)
-            for j, (b, open_start, _) in enumerate(runs)
-            if open_end and open_start
-        )
-        after: dict[int, int] = {}
-        for distance, i, j in links:
-            if distance < reach and i not in after and j not in after.values():
-                after[i] = j
-        starts = [j for j in range(len(runs)) if j not in after.values()]
-        chains, left = [], set(range(len(runs)))
-        for start in [*starts, *range(len(runs))]:
-            parts, k = [], start
-            while k in left:
-                left.remove(k)
-                parts.append(runs[k][0])
-                k = after.get(k, -1)
-            if parts:
-                index = np.concatenate(parts)
-                first, last = (
-                    runs[start][1],
-                    k == start or bool(np.linalg.norm(x[index[-1]] - x[index[0]]) < 2.0 * reach),
-                )
-                chains.append(Chain(index, k == start or (first and last)))
-        return chains
-
-    def even(self, length: float, rng: np.random.Generator) -> None:
-        """Put points in where they are more than 1.5 `length` (m) apart, and join those nearer than half of it.
-
-        Loops of fewer than `ROUND` points are finer, so that small holes are round.
-        """
-        for chain in self.chains:
-            apart = min(length, self._gaps(chain).sum() / ROUND) if chain.loop else length
-            self._join_near(chain, 0.5 * apart)
-            self._put_in(chain, 1.5 * apart, rng)
-
-    @staticmethod
-    def _cubic(chain: Chain, where: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Values halfway from the points `where` of a chain to the next ones, by the two on either side."""
-        n, held = len(chain.index), values[chain.index]
-        outer = [where - 1, where + 2]
-        outer = [k % n for k in outer] if chain.loop else [np.clip(k, 0, n - 1) for k in outer]
-        mean = 0.5 * (held[where] + held[(where + 1) % n])
-        bent = 0.125 * (held[where] + held[(where + 1) % n] - held[outer[0]] - held[outer[1]])
-        return mean + 0.5 * bent
-
-    def _join_near(self, chain: Chain, least: float) -> None:
-        """Make one of a point and the next, which gives what it holds to it, where they are too near.
-
-        Of points that run together along a bent film it keeps the speed, not the sum of the vectors: what turns them is
-        the film's shape.
-        """
-        index, k, out = chain.index.tolist(), 0, self.conormals()
-        fewest = FEWEST if chain.loop else 2
-        point = self.point
-        while len(index) > fewest and k < len(index) - (not chain.loop):
-            a, b = index[k], index[(k + 1) % len(index)]
-            if np.linalg.norm(point["x"][b] - point["x"][a]) >= least:
-                k += 1
-                continue
-            point["x"][a] = 0.5 * (point["x"][a] + point["x"][b])
-            weight = max(point["inertia"][b], 1e-30) / max(point["inertia"][a] + point["inertia"][b], 2e-30)
-            turned = max(float(np.linalg.norm((1.0 - weight) * out[a] + weight * out[b])), STEADY)
-            point["u"][a] = ((1.0 - weight) * point["u"][a] + weight * point["u"][b]) / turned
-            for name in SUMS:
-                point[name][a] += point[name][b]
-            point["growth"][a] = max(point["growth"][a], point["growth"][b])
-            index.pop((k + 1) % len(index))
-            k += 1
-        chain.index = np.array(index)
-
-    def _put_in(self, chain: Chain, most: float, rng: np.random.Generator) -> None:
-        """New points halfway between those too far apart, each with a quarter of what its two neighbours hold.
-
-        They lie on the curve through the four points around them and run as fast as these: of neighbours that run
-        apart the mean is slower than either.
-        """
-        gap = self._gaps(chain)
-        where = np.flatnonzero(gap > most)
-        if not len(where):
-            return
-        point, a = self.point, chain.index[where]
-        b = chain.index[(where + 1) % len(chain.index)]
-        made = {name: 0.5 * (values[a] + values[b]) for name, values in point.items()}
-        for name in ("x", "u"):
-            made[name] = self._cubic(chain, where, point[name])
-        made["limit"] = _limits(len(where), rng)
-        shares = {name: 0.25 * values for name, values in ((n, point[n]) for n in SUMS)}
-        for name in SUMS:
-            made[name] = shares[name][a] + shares[name][b]
-            for end in (a, b):
-                np.subtract.at(point[name], end, shares[name][end])
-        made["normal"] /= np.linalg.norm(made["normal"], axis=1, keepdims=True)
-        new = len(point["x"]) + np.arange(len(where))
-        for name, values in point.items():
-            point[name] = np.concatenate([values, made[name]])
-        chain.index = np.insert(chain.index, where + 1, new)

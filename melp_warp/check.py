@@ -16,7 +16,9 @@ from melp_warp.optics import display_color
 from melp_warp.packing import shown_thickness
 from melp_warp.usd import (
     CLIP_TEMPLATE,
+    DROPS,
     FRAMES,
+    FREE_RIMS,
     LARGEST,
     MANIFEST,
     MAX_FRAME,
@@ -377,13 +379,16 @@ def _check_range(root, on_disk: list[int]) -> tuple[list[str], bool]:
 # --- one frame -----------------------------------------------------------------------------------------------------
 
 
-def _check_frame(layer, frame: int, root, prims: list[str], packed: set[str], rims: int) -> list[str]:
+def _check_frame(layer, frame: int, root, prims: list[str], packed: set[str], rims: int | None) -> list[str]:
     name = _frame_name(frame)
     problems = _check_units(name, layer, root.framesPerSecond)
     problems += _expect(f"{name}: startTimeCode", layer.startTimeCode, float(frame))
     problems += _expect(f"{name}: endTimeCode", layer.endTimeCode, float(frame))
     unit = _metadata(layer).get("thicknessUnit")
     problems += _expect(f"{name}: {METADATA_KEY}.thicknessUnit", unit, THICKNESS_UNIT)
+    beads = layer.QueryTimeSample(f"/World/{FREE_RIMS}.points", float(frame)) if FREE_RIMS in prims else None
+    if beads is not None and len(beads):
+        rims = None
     for prim in prims:
         problems += _expect(f"{name}: /World/{prim}: origin", origin_of(layer, prim), origin_of(root, prim))
         arrays = {}
@@ -458,7 +463,7 @@ def _check_arrays(
             problems.append(f"{where}.{attribute.name}: {len(array)} values for {what}")
             del arrays[attribute.name]
     for rule_name, rule in _RULES:
-        if rule_name in arrays:
+        if rule_name in arrays and not (rule is _check_thickness and prim in (FREE_RIMS, DROPS)):
             problems += [f"{where}.{rule_name}: {problem}" for problem in rule(arrays, metadata)]
     if prim == WHOLE and {a.name for a in attributes_of(prim)} <= set(arrays):
         problems += [f"{where}: {problem}" for problem in _check_whole_arrays(arrays, rims)]
@@ -517,8 +522,11 @@ def check_whole(whole: WholeFrame, rims: int = 0) -> list[str]:
     return problems
 
 
-def check_surface(arrays: dict, rims: int) -> list[str]:
-    """Triangles that make one closed oriented surface, open at as many rims as the film has; empty for no region."""
+def check_surface(arrays: dict, rims: int | None) -> list[str]:
+    """Triangles that make one closed oriented surface, open at as many rims as the film has; empty for no region.
+
+    Of a film with holes (None for `rims`) it may be in pieces, and open anywhere.
+    """
     corners, n = arrays["faceVertexIndices"], len(arrays["points"])
     wrong = _check_corners(arrays)
     if wrong or n == 0:
@@ -534,12 +542,13 @@ def check_surface(arrays: dict, rims: int) -> list[str]:
         at = int(sides[np.argmax(times > 1)])
         problems.append(f"{(times > 1).sum()} edges have two faces on one side, first {at // n} to {at % n}")
     bare = sides[~np.isin(sides % n * n + sides // n, sides, assume_unique=True)]
-    problems += _expect("number of pieces", len(np.unique(_pieces(start, end, n))) - unused, 1)
+    pieces = len(np.unique(_pieces(start, end, n))) - unused
+    problems += _expect("number of pieces", pieces, 1) if rims is not None else []
     loops = np.unique(_pieces(bare // n, bare % n, n)[bare // n]) if len(bare) else bare
-    if len(loops) != rims:
+    if rims is not None and len(loops) != rims:
         problems.append(f"open along {len(bare)} edges around {len(loops)} holes, the film has {rims} rims")
     edges = (len(sides) + len(bare)) // 2
-    problems += _expect("Euler number", n - unused - edges + len(faces), 2 - len(loops))
+    problems += _expect("Euler number", n - unused - edges + len(faces), 2 * pieces - len(loops))
     if "normals" in arrays:
         x = arrays["points"].astype(np.float64)
         face = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])

@@ -215,7 +215,7 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
         given = {name: array for name, array in arrays.items() if name in needed}
         optional = {name for name in needed if changed and name.startswith("memory.")}
         boundary = boundary_count(scene, film["spacing"])
-        check_stored(given, shapes, needed - optional, course, scene.fps, boundary)
+        check_stored(given, shapes, needed - optional, course, scene, boundary)
         check_notices(header["notices"])
         require(isinstance(header["run"], dict), "run", header["run"], "names and values")
         _require_sum(arrays)

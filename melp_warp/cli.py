@@ -178,6 +178,12 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     run.add_argument(
         "--whole", action="store_true", help="write one mesh for the whole foam, partitions once; asks for --mesh"
     )
+    run.add_argument(
+        "--puncture",
+        metavar="X,Y,Z,T[,R]",
+        action="append",
+        help="puncture the film at the point nearest to X,Y,Z (m) at time T (s), hole of radius R; may be repeated",
+    )
     run.add_argument("--start", metavar="N", type=int, help="number of the first frame (default: 0)")
     over = run.add_mutually_exclusive_group()
     over.add_argument("--resume", action="store_true", help="go on with the run in DIR, or extend it to more --frames")
@@ -336,6 +342,7 @@ def _add_tradeoff(commands: argparse._SubParsersAction) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from melp_warp import runner
+    from melp_warp.bursting import Puncture
     from melp_warp.quality import find_quality
     from melp_warp.registry import load_scene
     from melp_warp.resume import numbers_of, options_of
@@ -352,6 +359,7 @@ def _run(options: argparse.Namespace) -> int:
         "whole": options.whole or None,
         "first": options.start,
         "budget": False if options.no_budget else None,
+        "punctures": ";".join(options.puncture) if options.puncture else None,
     }
     start = None
     if options.resume or options.branch is not None:
@@ -363,12 +371,13 @@ def _run(options: argparse.Namespace) -> int:
         writes = options_of(start, writes, same=options.resume)
     else:
         values = quality.values(script, given)
-        writes = {"full": False, "mesh": False, "whole": False, "first": 0, "budget": True} | {
-            k: v for k, v in writes.items() if v is not None
-        }
-    budget = writes.pop("budget")
+        usual = {"full": False, "mesh": False, "whole": False, "first": 0, "budget": True, "punctures": ""}
+        writes = usual | {k: v for k, v in writes.items() if v is not None}
+    budget, scene = writes.pop("budget"), script.build(values)
+    more = [Puncture.parse(text) for text in writes["punctures"].split(";") if text]
+    bursting = replace(scene.bursting, punctures=(*scene.bursting.punctures, *more))
     plan = runner.Plan(
-        scene=replace(script.build(values), budget=budget),
+        scene=replace(scene, budget=budget, bursting=bursting),
         name=script.name,
         parameters=values.as_dict(),
         out=out,

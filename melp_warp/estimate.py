@@ -151,7 +151,7 @@ def measure_cost(scene: Scene, device: str = "cpu", written: Written | None = No
         memory=array_bytes(simulation) / share,
         step_seconds=step_seconds / share,
         dt=dt,
-        steps=math.ceil(scene.frames / scene.fps / dt - 1e-6),
+        steps=math.ceil(scene.film_time(scene.frames) / dt - 1e-6),
         disk=written.cache_bytes(e_count, l_count, scene.frames + 1),
         beside=written.other_bytes(e_count, l_count),
         frames=scene.frames,

@@ -151,6 +151,19 @@ def meet(spheres: Sequence[Sphere], x: np.ndarray, rank: int, reach: float) -> n
     return found[np.linalg.norm(found - x, axis=1) <= reach]
 
 
+def squares(x: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Squared distances of x [n, 3] from points [m, 3]. [n, m]."""
+    return ((x[:, None] - points[None]) ** 2).sum(axis=2)
+
+
+def nearest_distance(x: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Distance of each of x [n, 3] from the nearest of some points. [n]."""
+    if not len(points):
+        return np.full(len(x), np.inf)
+    parts = np.array_split(x.astype(np.float64), 1 + len(x) * len(points) // 2_000_000)
+    return np.concatenate([np.sqrt(squares(part, points).min(axis=1)) for part in parts])
+
+
 def close_pairs(x: np.ndarray, radius: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the pairs (i, j), i != j, of points x [n, 3] within `radius`, in parts; all of an i are in one part."""
     cell = np.floor((x - x.min(axis=0)) / radius).astype(np.int64) + 1

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+from melp_warp.bursting import Bursting, Puncture
 from melp_warp.errors import InputError, require
 from melp_warp.keys import Key, Value, at_least_zero, count, keys_of, positive
 from melp_warp.material import THICKNESS, Material, Surroundings
@@ -54,6 +55,10 @@ _OF_FOAMS = {
     "pop_time": Key("s", "time at which a bubble pops (auto: never)", 0.0, 1e6, auto=True),
     "merge_time": Key("s", "time at which a partition breaks (auto: never)", 0.0, 1e6, auto=True),
 }
+_OF_HOLES = {
+    "puncture_time": Key("s", "time at which the film is punctured (auto: never)", 0.0, 1e6, auto=True, spoken="ms"),
+    "hole": positive("m", "radius of a hole at the start", 10.0, spoken="mm"),
+}
 _OF_FIELDS = {
     "noise": Key("-", "unevenness of the initial thickness, relative to thickness", 0.0, 0.95, spoken="%"),
     "noise_frequency": positive("1/m", "noise cells per metre of the initial thickness", 1e4),
@@ -68,11 +73,13 @@ KEYS: Mapping[str, Key] = MappingProxyType(
     {
         **_OF_SHAPES,
         **_OF_FOAMS,
+        **_OF_HOLES,
         **_OF_FIELDS,
         **keys_of(Material),
         **keys_of(Surroundings),
         **keys_of(Scene),
         **keys_of(Numerics),
+        **keys_of(Bursting),
     }
 )
 """Every key that a scene may have: those of initial shapes and fields, and the fields of the data classes."""
@@ -83,6 +90,7 @@ _SINGLE_FILM_NUMERICS = ("layers", "scheme", "curvature", "gradient")
 _NUMERICS = tuple(name for name in keys_of(Numerics) if name not in _FOAM_NUMERICS)
 _SURROUNDINGS = ("pressure", "air", "air_density", "air_drag", "drag")
 _RUN = tuple(keys_of(Scene))
+_BURSTING = tuple(keys_of(Bursting))
 
 FOAM: Mapping[str, Value] = MappingProxyType(
     {
@@ -101,14 +109,16 @@ FOAM: Mapping[str, Value] = MappingProxyType(
 
 def _common_defaults(foam: bool) -> dict[str, Value]:
     """The keys that every scene has, with the values they take where a scene does not say otherwise."""
-    material, surroundings, numerics = Material(), Surroundings(), Numerics()
+    material, surroundings, numerics, bursting = Material(), Surroundings(), Numerics(), Bursting()
     of_numerics = (name for name in _NUMERICS if not (foam and name in _SINGLE_FILM_NUMERICS))
     return {
         **{name: getattr(material, name) for name in _MATERIAL},
         "gravity": 0.0,
         **{name: getattr(surroundings, name) for name in _SURROUNDINGS},
         **{"e_count": 2000, "l_per_e": 16, "seed": 0, "frames": 100, "fps": 60.0, "dt": None},
+        **{"slow_motion": 1.0, "slow_from": 0.0, "slow_until": None},
         **{name: getattr(numerics, name) for name in of_numerics},
+        **{name: getattr(bursting, name) for name in _BURSTING if not foam},
     }
 
 
@@ -145,12 +155,17 @@ class Values:
         names = (*_NUMERICS, *_FOAM_NUMERICS)
         return Numerics(**{name: self._values[name] for name in names if name in self._values})
 
-    def scene(self, name: str, shape: Shape, **initial) -> Scene:
+    def bursting(self, punctures: Iterable[Puncture] = ()) -> Bursting:
+        """How the film bursts: `punctures`, and by itself."""
+        return Bursting(tuple(punctures), **{name: self._values[name] for name in _BURSTING if name in self._values})
+
+    def scene(self, name: str, shape: Shape, punctures: Iterable[Puncture] = (), **initial) -> Scene:
         """Put a scene together.
 
         Args:
             name: the scene's name.
             shape: the film's geometry.
+            punctures: holes that are made in it.
             **initial: the initial fields `thickness`, `concentration` and `velocity` of `Scene`, and its `waves`.
 
         Returns:
@@ -165,6 +180,7 @@ class Values:
             material=self.material,
             surroundings=self.surroundings,
             numerics=self.numerics,
+            bursting=self.bursting(punctures),
             **{key: self._values[key] for key in _RUN},
             **initial,
         )

@@ -86,7 +86,7 @@ class Cache:
 
     def __init__(self, folder: Path, particles: bool = False):
         from melp_warp.apart import read_root
-        from melp_warp.usd import WHOLE, list_frames
+        from melp_warp.usd import FREE_RIMS, WHOLE, list_frames
 
         self.folder, self.frames = Path(folder), list_frames(folder)
         require(bool(self.frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
@@ -96,19 +96,21 @@ class Cache:
         self._meshes = [int(p.rsplit("_", 1)[1]) for p in root["prims"] if re.fullmatch(r"FilmSurface/Region_\d+", p)]
         self._whole = WHOLE in root["prims"]
         self._with_e, self._with_l, self._l_per_e = "FilmE" in root["prims"], root["with_l"], root["l_per_e"]
-        self._particles = particles
+        self._particles, self._bursts = particles, FREE_RIMS in root["prims"]
 
     def film(self, frame: int) -> Surface | ParticleFrame:
         """What there is of a frame to draw: its meshes, or ones that are made of its particles, or these alone."""
         from melp_warp import apart
         from melp_warp.mesh import FOLDED, make_meshes, thin_out
+        from melp_warp.outline import clear_of_rims, outlines
         from melp_warp.surface import Surface
 
         if self._whole and not self._particles:
             return Surface.of_whole(apart.read_whole(self.folder, frame), self._rims, self._floors)
+        beads, drops = self._liquid(frame)
         if self._meshes and not self._particles:
             meshes = {k: apart.read_mesh(self.folder, frame, k) for k in self._meshes}
-            return Surface(meshes, self._rims, self._floors)
+            return Surface(meshes, self._rims, self._floors, beads=beads, drops=drops)
         film = apart.read_frame(self.folder, frame)
         if self._particles:
             return film
@@ -117,14 +119,23 @@ class Cache:
             e = apart.read_frame(self.folder, frame, "FilmE") if self._with_e else thin_out(film, self._l_per_e)
             many = film
         try:
-            meshes, problems = make_meshes(e, many, self._rims)
+            meshes, problems = make_meshes(clear_of_rims(e, beads), many, outlines(self._rims, beads, e))
         except InputError as error:  # particles without order
             meshes, problems = {}, [str(error)]
         holes = [problem for problem in problems if not problem.endswith(FOLDED)]
         if holes:
             print(f"melp-warp: notice: frame {frame} is drawn from its particles: {holes[0]}", file=sys.stderr)
             return film
-        return Surface(meshes, self._rims, self._floors)
+        return Surface(meshes, self._rims, self._floors, beads=beads, drops=drops)
+
+    def _liquid(self, frame: int) -> tuple[ParticleFrame | None, ParticleFrame | None]:
+        """Free rims and drops of a frame."""
+        from melp_warp.apart import read_frame
+        from melp_warp.usd import DROPS, FREE_RIMS
+
+        return (
+            tuple(read_frame(self.folder, frame, prim) for prim in (FREE_RIMS, DROPS)) if self._bursts else (None, None)
+        )
 
     def camera(self, aspect: float = 1.0, toward: Sequence[float] | None = None, fov: float = 22.0) -> Camera:
         """One camera for all frames."""

@@ -29,7 +29,7 @@ _LEFTOVER = re.compile(r"\..+\.tmp\.[a-z]+")
 """Temporaries of a writer that was killed, see `files.replacing`."""
 
 
-NAMES = {"first": "start", "budget": "no-budget"}
+NAMES = {"first": "start", "budget": "no-budget", "punctures": "puncture"}
 """Options of the command line that have another name."""
 
 OPTIONS = {
@@ -40,6 +40,7 @@ OPTIONS = {
     "whole": bool,
     "first": int,
     "budget": bool,
+    "punctures": str,
 }
 """What a run writes besides the numbers of its scene, see `Start`."""
 
@@ -53,7 +54,8 @@ class Start:
         folder: that of the run that wrote it.
         scene: name of its scene.
         parameters: keys and values of the scene; None for "auto".
-        options: what it writes, by the names of `runner.Plan`: export, full, mesh, triangles, whole, first; and budget.
+        options: what it writes, by the names of `runner.Plan`: export, full, mesh, triangles, whole, first,
+            punctures; and budget.
         frame: number of the checkpoint's frame.
         line: what the log says of that frame; without "sha256" where the frame was not written.
         empty_from: see `runner._Output`.

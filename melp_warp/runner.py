@@ -28,6 +28,7 @@ from melp_warp.resume import (
     LOG,
     NEWER,
     OLDER,
+    OPTIONS,
     Start,
     check_folder,
     clear,
@@ -97,6 +98,7 @@ class Plan:
         triangles: how many a frame's meshes are to have in all, about; None for as many as there are L.
         whole: whether to write one mesh of the whole foam in their place.
         first: number of the first frame.
+        punctures: those that were asked for besides the scene's, "x,y,z,t;..."; the scene has them.
         every: when to write checkpoints.
         overwrite: whether `out` may hold a run, which is removed then.
         start: where the run goes on from: in its own folder as it was, or from another one with other numbers.
@@ -117,6 +119,7 @@ class Plan:
     triangles: int | None = None
     whole: bool = False
     first: int = 0
+    punctures: str = ""
     every: Every = Every()
     overwrite: bool = False
     start: Start | None = None
@@ -370,12 +373,14 @@ class _Output:
     """
 
     def __init__(self, plan: Plan, simulation: Simulation):
-        from melp_warp.usd import CacheWriter, store_floors
+        from melp_warp.usd import DROPS, FREE_RIMS, CacheWriter, store_floors
 
         self._folder, self._plan = plan.out, plan
         self.empty_from: int | None = plan.start.empty_from if plan.start else None
         shown = "l" if simulation.has_l and plan.export != "e" else "e"
         self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
+        if plan.scene.bursting.possible:
+            self._sets |= {FREE_RIMS: "rims", DROPS: "drops"}
         metadata = {
             "scene": plan.name,
             "seed": plan.scene.seed,
@@ -383,6 +388,10 @@ class _Output:
             "particles": self._sets,
             "parameters": {key: "auto" if value is None else value for key, value in plan.parameters.items()},
         }
+        if plan.scene.slow_motion > 1.0:
+            slow = {"factor": plan.scene.slow_motion, "from": plan.scene.slow_from}
+            ends = {} if plan.scene.slow_until is None else {"until": plan.scene.slow_until}
+            metadata["slowMotion"] = slow | ends
         origin = simulation.particles(shown).origin
         self._rims = [rim - np.array(origin) for rim in plan.scene.shape.edges()]
         floors = [wall for wall in getattr(plan.scene.shape, "walls", ()) if not wall.pops]
@@ -409,6 +418,9 @@ class _Output:
         number = self._plan.first + simulation.frame
         prims = {prim: sets[which] for prim, which in self._sets.items()}
         meshes, problems = self._meshes(sets) if self._plan.mesh else ({}, [])
+        tempo = self._plan.scene.tempo(simulation.frame)
+        for frame in (*sets.values(), *meshes.values()) if tempo != 1.0 else ():
+            frame.velocities = frame.velocities * np.float32(tempo)  # a second of what is shown
         diagnostics = self._line
         if diagnostics.get("frame") != number:  # else it failed to be written before the run was resumed
             diagnostics = simulation.diagnostics() | ({"mesh_problems": problems} if self._plan.mesh else {})
@@ -426,10 +438,13 @@ class _Output:
 
     def _meshes(self, sets: Mapping[str, ParticleFrame]) -> tuple[dict, list[str]]:
         """The meshes of the present frame by prim, and what could not be closed."""
+        from melp_warp.outline import clear_of_rims, outlines
         from melp_warp.usd import frame_kind
 
         plan, e = self._plan, sets["e"]
-        made, problems = _make_surfaces(e, sets.get("l"), self._rims, plan.triangles, plan.whole)
+        beads = sets.get("rims")
+        rims, near = outlines(self._rims, beads, e), clear_of_rims(e, beads)
+        made, problems = _make_surfaces(near, sets.get("l"), rims, plan.triangles, plan.whole)
         return {prim: made.get(prim) or frame_kind(prim).empty(e.origin) for prim in self._surfaces}, problems
 
     def _log(self, line: Mapping) -> None:
@@ -454,7 +469,7 @@ class _Output:
         run = {
             "scene": plan.name,
             "parameters": dict(plan.parameters),
-            "options": {name: getattr(plan, name) for name in ("export", "full", "mesh", "triangles", "whole", "first")}
+            "options": {name: getattr(plan, name) for name in OPTIONS if name != "budget"}
             | {"budget": plan.scene.budget},
             "frame": self._line["frame"],
             "line": self._line,
@@ -551,7 +566,8 @@ def mesh_cache(folder: Path, triangles: int | None = None, whole: bool = False) 
     _check_triangles(triangles)
     _start_warp()
     from melp_warp.apart import read_frame, read_root, try_frame
-    from melp_warp.usd import add_meshes, list_frames
+    from melp_warp.outline import clear_of_rims, outlines
+    from melp_warp.usd import FREE_RIMS, add_meshes, list_frames
 
     frames = list_frames(folder)
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
@@ -570,7 +586,9 @@ def mesh_cache(folder: Path, triangles: int | None = None, whole: bool = False) 
         try_frame(folder, frame)
         lagrangian = read_frame(folder, frame) if root["with_l"] else None
         e = read_frame(folder, frame, source)
-        meshes, found = _make_surfaces(e, lagrangian, rims, triangles, whole)
+        beads = read_frame(folder, frame, FREE_RIMS) if FREE_RIMS in root["prims"] else None
+        edges = outlines(rims, beads, e)
+        meshes, found = _make_surfaces(clear_of_rims(e, beads), lagrangian, edges, triangles, whole)
         problems.extend(f"frame {frame}: {problem}" for problem in found)
         return meshes
 
@@ -637,7 +655,7 @@ def _draw_run(plan: Plan) -> list[Path]:
     preview.save_image(preview.render(cache.film(cache.frames[-1]), *[PREVIEW_SIZE] * 2, camera, plan.device), last)
     picked = spread(cache.frames, CONTACT_FRAMES)
     images = [preview.render(cache.film(frame), *[CONTACT_SIZE] * 2, camera, plan.device) for frame in picked]
-    times = [f"{(frame - cache.frames[0]) / plan.scene.fps:.3g} s" for frame in picked]
+    times = [f"{plan.scene.film_time(frame - cache.frames[0]):.3g} s" for frame in picked]
     preview.save_image(preview.contact_sheet(images, times), sheet)
     return [last, sheet]
 

@@ -10,7 +10,7 @@ import numpy as np
 from melp_warp.bursting import Bursting
 from melp_warp.cluster import Cluster
 from melp_warp.errors import require
-from melp_warp.keys import Key, check_numbers, count, positive, quantity
+from melp_warp.keys import Key, at_least_zero, check_numbers, count, positive, quantity
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.shapes import Shape
@@ -46,6 +46,7 @@ class Scene:
             than five E spacings a wave are refused.
         numerics: discretisation choices.
         bursting: punctures, and what becomes of rims.
+        slow_motion: how many times slower than usual time runs from frame to frame, from `slow_from` to `slow_until`.
         dt: None for a step set by `numerics.cfl`.
         budget: whether the energy budget is kept (`melp_warp.budget`); it changes nothing else.
     """
@@ -71,6 +72,13 @@ class Scene:
         ),
         None,
     )
+    slow_motion: float = quantity(
+        Key("-", "factor by which frames are shorter in slow motion (1: none)", 1.0, 1e6), 1.0
+    )
+    slow_from: float = quantity(at_least_zero("s", "film time at which slow motion begins", 1e6, spoken="ms"), 0.0)
+    slow_until: float | None = quantity(
+        Key("s", "film time at which slow motion ends (auto: with the run)", 0.0, 1e6, auto=True, spoken="ms"), None
+    )
     seed: int = quantity(count("seed of everything random", 0, 2**31 - 1), 0)
     budget: bool = True
 
@@ -83,6 +91,8 @@ class Scene:
             object.__setattr__(self, "l_per_e", 0)
         if self.bursting.possible:
             self._check_bursting()
+        ends = self.slow_until is None or self.slow_until >= self.slow_from
+        require(ends, "slow_until", self.slow_until, f"at least slow_from, {self.slow_from:g} s")
         closed = self.shape.closed
         require(closed or self.surroundings.lift == 0.0, "lift", self.surroundings.lift, "0 for an open film")
         if isinstance(self.shape, Cluster):
@@ -90,6 +100,22 @@ class Scene:
         else:
             damping = self.surroundings.damping
             require(damping == 0.0, "damping", damping, "0 for a single film: it is of foams")
+
+    def film_time(self, frame: float) -> float:
+        """Time at the end of a frame (0: the start), s; frames are shorter in slow motion."""
+        shown = frame / self.fps
+        if self.slow_motion == 1.0 or shown <= self.slow_from:
+            return shown
+        slow = (shown - self.slow_from) / self.slow_motion
+        if self.slow_until is None or self.slow_from + slow <= self.slow_until:
+            return self.slow_from + slow
+        return shown - (self.slow_until - self.slow_from) * (self.slow_motion - 1.0)
+
+    def tempo(self, frame: int) -> float:
+        """Seconds of film time a second of what is shown, at a frame."""
+        time = self.film_time(frame)
+        slow = self.slow_from <= time and (self.slow_until is None or time < self.slow_until)
+        return 1.0 / self.slow_motion if slow else 1.0
 
     def _check_bursting(self) -> None:
         """Refuse films that cannot burst yet."""

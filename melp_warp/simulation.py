@@ -216,7 +216,7 @@ class Simulation:
         Raises:
             SimulationError: names the stage and the particle; the state is then that of the last good frame.
         """
-        end = (self.state.frame + 1) / self.scene.fps
+        end = self.scene.film_time(self.state.frame + 1)
         watched = self.watched
         while True:
             try:
@@ -297,14 +297,15 @@ class Simulation:
             self.stepper.wall[stage] = 0.0
         if not self.gone:
             self.stepper.lists.forget_leaps()
-        while end - self.time > 1e-9 / self.scene.fps:
+        least = 1e-9 * (end - self.scene.film_time(self.state.frame))
+        while end - self.time > least:
             let_through()
             if not self.gone:
                 self.stepper.lists.watched = watched
             self.step_towards(end)
             if watched:
                 self._check()
-            if not self.gone and not end - self.time > 1e-9 / self.scene.fps:
+            if not self.gone and not end - self.time > least:
                 self.stepper.check_gas()  # before regions change: new ones take a step to come to their volume
             self._change_regions()
         self._check()
@@ -385,7 +386,9 @@ class Simulation:
             stored = Stored.of(self.state)
             change(stored)
             self.stepper.remark(self.notices)
+            wall = self.stepper.wall
             _, self.stepper = set_up_holed(self.scene, stored, self.state, self.film)
+            self.stepper.wall = wall
             self.burst.begin()
         while self.events is not None and (change := self.events.due(self)) is not None:
             stored = Stored.of(self.state)
@@ -436,7 +439,9 @@ class Simulation:
         return math.sqrt(2.0 * tension / m.areal_mass) + float(np.sqrt((v**2).sum(axis=1)).max()) + 1e-9
 
     def particles(self, which: str) -> ParticleFrame:
-        """The L ("l") or E ("e") as NumPy arrays."""
+        """The L ("l"), E ("e"), free rims ("rims") or drops ("drops") as NumPy arrays."""
+        if which in ("rims", "drops"):
+            return self.burst.particles(which)
         if self.gone:
             return ParticleFrame.empty(tuple(self.origin.tolist()))
         n = self.film.n_l if which == "l" else self.film.n_e

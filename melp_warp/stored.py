@@ -42,7 +42,7 @@ def check_stored(
     shapes: Mapping[str, Declared],
     needed: Set[str],
     course: Course,
-    fps: float,
+    scene: Scene,
     boundary: int,
 ) -> None:
     """Refuse stored arrays that no run can have left: `InputError` names the array.
@@ -52,7 +52,7 @@ def check_stored(
         shapes: what they are declared to be, see `state.declared`.
         needed: names of those that must be there.
         course: what was stored with them.
-        fps: frames a second.
+        scene: the scene.
         boundary: number of boundary particles that the scene has.
     """
     missing = [name for name in shapes if name in needed and name not in stored]
@@ -85,7 +85,7 @@ def check_stored(
     _check_gas(stored["gas"], closed=boundary == 0 and not course.holed)
     frame, time = int(stored["frame"]), float(stored["time"])
     require(0 <= frame <= 1_000_000, "frame", frame, "from 0 to 1000000")
-    least = frame / fps * (1.0 - 1e-9)
+    least = scene.film_time(frame) * (1.0 - 1e-9)
     require(least <= time <= 1e9, "time", time, f"at least {least:.6g} s, the end of frame {frame}")
 
 

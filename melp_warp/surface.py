@@ -18,7 +18,7 @@ from PIL import Image
 
 from melp_warp import optics
 from melp_warp.errors import InputError, require
-from melp_warp.frame import MeshFrame, WholeFrame
+from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
 from melp_warp.kernels import raster as kr
 from melp_warp.kernels.render import find_tile_ends
 from melp_warp.launch import launch
@@ -66,12 +66,15 @@ class Surface:
         floors: point and normal, into the room, of each plate, m.
         lines: ends [k, 2, 3] of the pieces of all borders, m, and the radius of the smallest bubble there [k], m; None
             to find them, and to take sheets that touch for one film.
+        beads, drops: free rims and drops as a cache stores them; None for none.
     """
 
     meshes: Mapping[int, MeshFrame]
     rims: Sequence[np.ndarray] = ()
     floors: Sequence[tuple[Sequence[float], Sequence[float]]] = ()
     lines: tuple[np.ndarray, np.ndarray] | None = None
+    beads: ParticleFrame | None = None
+    drops: ParticleFrame | None = None
     points: np.ndarray = field(init=False)
     normals: np.ndarray = field(init=False)
     thickness: np.ndarray = field(init=False)
@@ -114,6 +117,31 @@ class Surface:
         a, b, c = (self.points.astype(np.float64)[self.faces[:, k]] for k in range(3))
         area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
         return np.sqrt(np.bincount(self.region[self.faces[:, 0]], area, minlength=self.regions) / (4.0 * np.pi))
+
+
+def threads(liquid: ParticleFrame | None, joined: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Ends [k, 2, 3] (m) and radii [k] (m) of pieces of rims from bead to bead, or of drops as pieces of no length."""
+    if liquid is None or not len(liquid.points):
+        return np.zeros((0, 2, 3)), np.zeros(0)
+    x, radius = liquid.points.astype(np.float64), 0.5 * liquid.widths.astype(np.float64)
+    if not joined:
+        return np.stack([x, x], axis=1), radius
+    after = next_beads(liquid)
+    here = np.flatnonzero(after >= 0)
+    return np.stack([x[here], x[after[here]]], axis=1), radius[here]
+
+
+def next_beads(beads: ParticleFrame) -> np.ndarray:
+    """[n] the bead that follows each one along its rim; -1 after the last of a rim that is not closed."""
+    n, rim = len(beads.points), beads.region
+    after = np.arange(1, n + 1)
+    last = np.flatnonzero(np.append(rim[1:] != rim[:-1], True))
+    first = np.concatenate([[0], last[:-1] + 1])
+    x = beads.points.astype(np.float64)
+    step = np.linalg.norm(x[np.minimum(first + 1, n - 1)] - x[first], axis=1)
+    closed = np.linalg.norm(x[first] - x[last], axis=1) < 2.0 * step
+    after[last] = np.where(closed, first, -1)
+    return after
 
 
 def _shared_edges(whole: WholeFrame) -> tuple[np.ndarray, np.ndarray]:
@@ -404,6 +432,9 @@ def _lines(
         ends = np.concatenate([ends, np.stack([rim, np.roll(rim, -1, axis=0)], axis=1)])
         radius = np.concatenate([radius, np.full(len(rim), 0.5 * WIRE * size)])
         kind = np.concatenate([kind, np.full(len(rim), int(kr.WIRE))])
+    for more, thick in (threads(surface.beads), threads(surface.drops, joined=False)):
+        ends, radius = np.concatenate([ends, more]), np.concatenate([radius, thick])
+    kind = np.concatenate([kind, np.full(len(ends) - len(kind), int(kr.BORDER))])
     n = len(ends)
     lines = kr.Lines()
     lines.start, lines.stop = (wp.empty(n, dtype=wp.vec2, device=device) for _ in range(2))

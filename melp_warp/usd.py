@@ -142,6 +142,9 @@ SURFACE = "FilmSurface"
 WHOLE = f"{SURFACE}/Whole"
 """Name under /World of the mesh of a whole foam."""
 
+FREE_RIMS, DROPS = "FreeRims", "Droplets"
+"""Names under /World of the liquid that is no film: the rims of holes and the drops that they break into."""
+
 RIM = "Rim"
 _NAMES_TAKEN = ("Looks", RIM, SURFACE)
 
@@ -533,8 +536,8 @@ def _set_purposes(stage, prims: Sequence[str]) -> None:
     """Show one thing by default, the meshes or else the first set of particles; the others are guides."""
     from pxr import UsdGeom
 
-    points = [prim for prim in prims if not is_mesh(prim)]
-    for prim in points if len(points) < len(prims) else points[1:]:
+    points = [prim for prim in prims if not is_mesh(prim) and prim not in (FREE_RIMS, DROPS)]
+    for prim in points if any(map(is_mesh, prims)) else points[1:]:
         UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{prim}")).CreatePurposeAttr(UsdGeom.Tokens.guide)
 
 
@@ -945,7 +948,7 @@ def add_meshes(
         display_color(np.zeros(0, np.float32), gain, index)
     except (InputError, TypeError):
         raise InputError(f"{directory / ROOT}: colorGain and refractiveIndex are {gain!r:.80}, {index!r:.80}") from None
-    points = [prim for prim in prims_of(root) if not is_mesh(prim)]
+    points = [prim for prim in prims_of(root) if not is_mesh(prim) and prim not in (FREE_RIMS, DROPS)]
     numbers = list_frames(directory)
     require("Film" in points and bool(numbers), "directory", str(directory), "a cache with frames and /World/Film")
     origin = origin_of(root, "Film")

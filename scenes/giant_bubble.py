@@ -1,12 +1,14 @@
 """A big wobbling soap bubble whose thin patches rise and thick ones sink.
 
-The bubble of MELP 2022, Figure 19, before it is punctured: radius 0.1 m, displaced by two octaves of Perlin noise.
+The bubble of MELP 2022, Figure 19: radius 0.1 m, displaced by two octaves of Perlin noise. With `puncture_time` it is
+punctured from the right, where `slow_motion` may begin: `puncture_time=1 slow_from=1 slow_motion=15`.
 The surfactant starts even, so that thickness differences persist and gravity drives the flow.
 """
 
 import numpy as np
 
 try:
+    from melp_warp.bursting import Puncture
     from melp_warp.noise import Perlin
     from melp_warp.parameters import Values, declare
     from melp_warp.scene import Scene
@@ -29,6 +31,7 @@ PARAMETERS = declare(
     air="added_mass",
     drag=1e-3,
     swirl=0.1,
+    puncture_time=None,
     flip=0.95,
     e_count=2000,
     l_per_e=16,
@@ -44,9 +47,11 @@ def build(p: Values) -> Scene:
     bumps = Perlin(p.seed, p.displacement_frequency, p.displacement_octaves)
     patches = Perlin(p.seed + 1, p.noise_frequency, p.noise_octaves)
     shape = displaced_sphere(p.radius, lambda d: p.displacement / p.radius * bumps(p.radius * d))
+    right = () if p.puncture_time is None else (Puncture((p.radius, 0.0, 0.0), p.puncture_time),)
     return p.scene(
         "giant_bubble",
         shape,
+        punctures=right,
         thickness=lambda x: p.thickness * (1.0 + p.noise * patches.even(x)),
         velocity=whirls(shape, Perlin(p.seed + 2, 1.0 / p.radius), p.swirl),
     )

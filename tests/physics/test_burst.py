@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from melp_warp.burst import RAYLEIGH, Rims, Thread
 from melp_warp.bursting import Bursting, Puncture
 from melp_warp.errors import InputError
 from melp_warp.material import Material, Surroundings
+from melp_warp.rims import RAYLEIGH, Rims, Thread
 from melp_warp.scene import Scene
 from melp_warp.shapes import Cap, Rectangle, Sphere
 from melp_warp.simulation import Simulation
@@ -197,14 +197,15 @@ def test_drops_are_those_of_the_fastest_wave():
     part = length / n
     mass = np.full(n, density * math.pi * radius**2 * part)
     x = np.stack([(np.arange(n) + 0.5) * part, np.zeros(n), np.zeros(n)], axis=1)
-    u = rng.normal(size=(n, 3))
-    drops = Thread(x, u, mass, 1e-3 * mass, np.full(n, part)).drops(density)
+    u = np.full((n, 3), 2.0)
+    drops = Thread(x, u, mass, 1e-3 * mass, np.full(n, part)).drops(density, 0.07, rng)
     count = length / (RAYLEIGH * radius)
     assert len(drops["mass"]) == pytest.approx(count, abs=0.5)
     size = np.cbrt(3.0 * drops["mass"] / (4.0 * math.pi * density))
     np.testing.assert_allclose(size, 1.891 * radius, rtol=0.01)
     assert drops["mass"].sum() == pytest.approx(mass.sum(), rel=1e-12)
     np.testing.assert_allclose(drops["mass"] @ drops["u"], mass @ u, rtol=1e-9)
+    assert np.std(drops["u"]) == pytest.approx(0.5 * math.sqrt(0.07 / (density * radius)), rel=0.1)
     np.testing.assert_allclose(np.diff(drops["x"][:, 0])[1:-1], RAYLEIGH * radius, rtol=0.01)
 
 

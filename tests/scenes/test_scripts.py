@@ -17,7 +17,17 @@ FOAMS = (
     *("quadruple_bubble", "size_ratio", "triple_bubble"),
 )
 VORTICES = ("deforming_rectangle_2m", "giant_bubble_vortices", "leapfrog", "stirred_disc", "turbulent_film")
-SCENES = (*FOAMS, *VORTICES, "drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices")
+BURSTS = ("burst_pair", "film_burst")
+SCENES = (
+    *FOAMS,
+    *VORTICES,
+    *BURSTS,
+    "drainage",
+    "equilibrium",
+    "giant_bubble",
+    "oscillating_bubble",
+    "taylor_vortices",
+)
 COMMON = "thickness tension surfactant density gravity pressure air viscosity drag e_count l_per_e seed".split()
 OWN = {
     "cluster": ["radius_low", "radius_high", "offset", "gap", "approach_speed", "merge_time"],
@@ -29,7 +39,9 @@ OWN = {
     "triple_bubble": ["radius", "gap", "approach_speed"],
     "drainage": ["width", "height", "tilt", "noise"],
     "equilibrium": ["radius", "noise"],
-    "giant_bubble": ["radius", "noise"],
+    "burst_pair": ["width", "height", "separation", "hole", "puncture_time", "breakup", "slow_motion"],
+    "film_burst": ["width", "hole", "puncture_time", "breakup", "slow_motion", "rupture_thickness"],
+    "giant_bubble": ["radius", "noise", "puncture_time"],
     "oscillating_bubble": ["radius", "mode", "amplitude"],
     "taylor_vortices": ["separation", "noise"],
     "leapfrog": ["core", "circulation", "spacing_inner", "spacing_outer"],
@@ -111,6 +123,8 @@ def test_every_key_can_be_set_and_changes_the_scene(name):
     base = {"noise": 0.2} if name == "drainage" else {}
     plain = all_fields(script.build(script.parameters.values(base)))
     for key, value in script.parameters.defaults.items():
+        if name in BURSTS and key == "layers":
+            continue  # a single layer does not burst
         changed = other(script.parameters.keys[key], base.get(key, value))
         text = "auto" if changed is None else str(changed)
         values = script.parameters.values(base | script.parameters.parse([f"{key}={text}"]))
@@ -299,7 +313,7 @@ def test_a_file_that_is_no_scene(tmp_path, text, words):
     ("name", "words"),
     [
         ("giant_buble", "did you mean giant_bubble"),
-        ("nonsense", "scenes are cluster, deforming_rectangle_2m"),
+        ("nonsense", "scenes are burst_pair, cluster, deforming"),
         ("no/such/file.py", "no such file"),
     ],
 )

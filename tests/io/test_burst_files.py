@@ -1,0 +1,135 @@
+"""Films that burst, from the command line to the files: rims and drops in the cache, slow motion, resumed runs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from melp_warp import cli
+from melp_warp.check import check_cache
+from melp_warp.outline import outlines
+from melp_warp.registry import load_scene
+from melp_warp.usd import DROPS, FREE_RIMS, list_frames, read_frame, read_metadata
+
+SMALL = ["--set", "e_count=400", "l_per_e=4", "breakup=5", "--quiet", "--no-budget"]
+
+
+def run(out, *options, scene="film_burst"):
+    return cli.main(["run", scene, "--out", str(out), *SMALL, *options])
+
+
+def lines(folder):
+    return [json.loads(line) for line in (folder / "run.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def burst(tmp_path_factory):
+    """A film with a hole in its middle and another one off it, half a millisecond later."""
+    folder = tmp_path_factory.mktemp("burst") / "cache"
+    assert run(folder, "--puncture", "0.02,0.02,0,0.0005", "--frames", "40", "--mesh") == 0
+    return folder
+
+
+def test_the_cache_has_rims_and_drops(burst):
+    """Where they are, how thick, how fast; sums agree with the log."""
+    faults = check_cache(burst)
+    assert all(fault.split(", first")[0].endswith("faces look inwards") for fault in faults)
+    assert len(faults) <= 4  # of 41 frames: where rims have just met a mesh may fold
+    log = lines(burst)
+    assert log[0]["rims"] == 0 and log[1]["rims"] == 1
+    assert max(line["rims"] for line in log) == 2
+    assert log[-1]["drops"] > 50
+    before = log[0]["mass"] + log[0]["rim_mass"]
+    for frame in (5, 20, 40):
+        rims, drops, line = read_frame(burst, frame, FREE_RIMS), read_frame(burst, frame, DROPS), log[frame]
+        whole = line["mass"] + line["rim_mass"] + line["drop_mass"] + line["frame_mass"]
+        assert whole == pytest.approx(before, rel=1e-5)
+        assert len(drops.points) == line["drops"]
+        assert (998.0 * np.pi / 6.0 * drops.widths.astype(float) ** 3).sum() == pytest.approx(
+            line["drop_mass"], rel=5e-3
+        )
+        x = rims.points.astype(float)
+        apart = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1)
+        assert np.median(apart) < 0.2 * 0.005
+        assert len(read_frame(burst, frame).points) == line["l_count"]
+        assert len(np.unique(rims.region)) == line["rims"]
+
+
+def test_the_film_ends_at_its_rims(burst):
+    """No L lies in a hole, and the mesh has an edge there."""
+    frame = 12
+    rims, film = read_frame(burst, frame, FREE_RIMS).points, read_frame(burst, frame).points
+    radius = np.linalg.norm(rims[:, :2], axis=1)
+    assert np.linalg.norm(film[:, :2], axis=1).min() > 0.97 * radius.min()
+    assert lines(burst)[frame]["mesh_problems"] == []
+
+
+def test_slow_motion(burst):
+    """Frames are 500 times shorter; a second of velocities is one of what is shown."""
+    log = lines(burst)
+    assert log[30]["time"] == pytest.approx(30 / 60.0 / 500.0, rel=1e-9)
+    assert read_metadata(burst)["slowMotion"] == {"factor": 500.0, "from": 0.0}
+    rims = [read_frame(burst, frame, FREE_RIMS) for frame in (10, 11)]
+    radius = [np.linalg.norm(one.points, axis=1).mean() for one in rims]
+    speed = np.linalg.norm(rims[0].velocities, axis=1).mean()
+    assert (radius[1] - radius[0]) * 60.0 == pytest.approx(speed, rel=0.03)
+
+
+def test_time_runs_on_after_slow_motion():
+    scene = load_scene("giant_bubble").scene(slow_motion=10.0, slow_from=0.1, slow_until=0.2)
+    times = np.array([scene.film_time(frame) for frame in range(100)])
+    steps = np.diff(times) * 60.0
+    assert times[6] == pytest.approx(0.1) and times[-1] == pytest.approx(99 / 60.0 - 0.9)
+    np.testing.assert_allclose(steps[:6], 1.0)
+    np.testing.assert_allclose(steps[6:66], 0.1)
+    np.testing.assert_allclose(steps[66:], 1.0)
+    assert [scene.tempo(frame) for frame in (0, 30, 90)] == [1.0, 0.1, 1.0]
+
+
+def test_a_run_goes_on_in_the_middle_of_a_burst(tmp_path):
+    """Same bytes as of a run that was not stopped."""
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    second = ("--puncture", "0.02,0.02,0,0.0005")
+    assert run(whole, *second, "--frames", "24") == 0
+    assert run(parts, *second, "--frames", "9") == 0
+    assert run(parts, "--resume", "--frames", "24") == 0
+    for frame in list_frames(whole):
+        name = f"frames/film.{frame:06d}.usdc"
+        assert (whole / name).read_bytes() == (parts / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--puncture", "1,2"), "--puncture must be x,y,z,t or x,y,z,t,radius, in m and s, got '1,2'"),
+        (("--puncture", "0,0,0,-1"), "time of a puncture must be at least 0 s, the start"),
+        (("--puncture", "0,0,0,0,0"), "radius of a puncture must be above 0 m"),
+        (("--puncture", "0,0,0,inf"), "puncture must be finite numbers"),
+        (("--puncture", "0,0,0,0,1"), "radius of a puncture must be at most"),
+    ],
+)
+def test_bad_punctures_end_in_one_line(options, told, tmp_path, capsys):
+    assert run(tmp_path / "out", *options, "--frames", "1") == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
+
+
+def test_a_puncture_off_the_film_is_said(tmp_path, capsys):
+    assert run(tmp_path / "out", "--puncture", "0,0,1,0", "--frames", "1", "--strict") == 1
+    foam = ["run", "double_bubble", "--out", str(tmp_path / "foam"), "--puncture", "0,0,0,0", "--frames", "1"]
+    assert cli.main(foam) == 2
+    assert "none for a foam" in capsys.readouterr().err
+
+
+def test_the_outline_of_a_film_with_holes(burst):
+    """The wire and a closed curve around each hole; where a rim has come to the wire, one curve of both."""
+    wire = load_scene("film_burst").scene().shape.edges()
+    early, e = read_frame(burst, 5, FREE_RIMS), read_frame(burst, 5)
+    assert len(outlines(wire, early, e)) == 2
+    assert len(outlines(wire, None, e)) == 1
+    late, e = read_frame(burst, 40, FREE_RIMS), read_frame(burst, 40)
+    curves = outlines(wire, late, e)
+    assert len(curves) >= 1
+    for curve in curves:
+        gap = np.linalg.norm(np.roll(curve, -1, axis=0) - curve, axis=1)
+        assert gap.max() < 0.03
