@@ -65,6 +65,12 @@ def shift_origin_e(shift: wp.vec3, x: wp.array(dtype=wp.vec3)):
     x[i] = x[i] - shift
 
 
+@wp.func
+def bent_path(own: wp.vec3, n: wp.vec3, affine: wp.mat33, bend: float, h: float) -> wp.vec3:
+    """Velocity of an L on its path of a step h (s): v + bend/2 h B D^-1 w, w its own v along the film."""
+    return own + (0.5 * bend * h) * (affine * tangential(own, n))
+
+
 @wp.kernel
 def advance_l(
     v: wp.array(dtype=wp.vec3),
@@ -100,8 +106,7 @@ def advance_l(
     i = wp.tid()
     h = dt[0]
     own = v[i] - passed[region[i]]
-    turned = (0.5 * bend[0] * h) * (affine[i] * tangential(own, normal[i]))
-    x[i] = x[i] + h * (own + turned + frame[region[i]])
+    x[i] = x[i] + h * (bent_path(own, normal[i], affine[i], bend[0], h) + frame[region[i]])
 
 
 @wp.kernel

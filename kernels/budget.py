@@ -6,6 +6,7 @@ docs/energy.md for the identities.
 
 import warp as wp
 
+from melp_warp.kernels.advance import bent_path
 from melp_warp.kernels.air_range import AFTER, BEFORE
 from melp_warp.kernels.contact import Contact, meet_sheets, near_share, press
 from melp_warp.kernels.gas import AMOUNT, AREA, GAUGE, INCREMENT, OFFSET, VOLUME
@@ -19,33 +20,41 @@ wp.set_module_options({"enable_backward": False})
 # What is stored at the start of a step.
 KINETIC = wp.constant(0)
 SURFACE = wp.constant(1)
-GAS = wp.constant(2)
-AIR = wp.constant(3)
+SURFACTANT = wp.constant(2)
+GAS = wp.constant(3)
+AIR = wp.constant(4)
 # What the step has done, from here on.
-STARTED = wp.constant(4)
+STARTED = wp.constant(5)
 FIRST_FLOW = STARTED
-HOLD = wp.constant(5)
-MEMBRANE = wp.constant(6)
-BENDING = wp.constant(7)
-PRESSING = wp.constant(8)
-FLOW = wp.constant(9)
-SPREADING = wp.constant(10)
-SPLITTING = wp.constant(11)
-DRAG = wp.constant(12)
-VISCOSITY = wp.constant(13)
-DAMPING = wp.constant(14)
-LIFT = wp.constant(15)
-PUSH = wp.constant(16)
-SHIFTS = wp.constant(17)
-ENDED = wp.constant(18)
-IMPULSE = wp.constant(19)  # three of them
-WHOLE = wp.constant(22)
-RANGE = wp.constant(23)
-CONTACT = wp.constant(24)
-STRETCH = wp.constant(25)
-LINES = wp.constant(26)
-DEBT = wp.constant(27)
-SLOTS = wp.constant(28)
+HOLD = wp.constant(6)
+MEMBRANE = wp.constant(7)
+BENDING = wp.constant(8)
+PRESSING = wp.constant(9)
+FLOW = wp.constant(10)
+SPREADING = wp.constant(11)
+MENDING = wp.constant(12)
+SPLITTING = wp.constant(13)
+DRAG = wp.constant(14)
+VISCOSITY = wp.constant(15)
+DAMPING = wp.constant(16)
+LIFT = wp.constant(17)
+PUSH = wp.constant(18)
+SHIFTS = wp.constant(19)
+ENDED = wp.constant(20)
+IMPULSE = wp.constant(21)  # three of them
+WHOLE = wp.constant(24)
+RANGE = wp.constant(25)
+CONTACT = wp.constant(26)
+STRETCH = wp.constant(27)
+LINES = wp.constant(28)
+DEBT = wp.constant(29)
+# What the E say of the L at the start of a step: their area, and what they claim of it.
+WIDE = wp.constant(30)
+CLAIMED = wp.constant(31)
+SOLUTE = wp.constant(32)
+FALLING = wp.constant(33)
+WIDENED = wp.constant(34)
+SLOTS = wp.constant(35)
 
 
 @wp.func
@@ -70,50 +79,13 @@ def carried_air(gas: wp.array2d(dtype=wp.float64), g: int, density: float, added
 
 
 @wp.kernel
-def ruffle_e(
-    gamma: wp.array(dtype=float),
-    weight: wp.array(dtype=float),
-    rows: Neighbors,
-    n_e: int,
-    variance: float,
-    asked: wp.array(dtype=wp.int32),
-    # outputs
-    ruffle: wp.array(dtype=float),
-):
-    """Free energy that the means of E do not show, over R T Gamma_0: variance a |grad gamma|^2/(2 gamma). [n_e], m^2.
-
-    E hold the mean of what L carry, over the transfer's kernel: of a wave exp(ikx) exp(-k^2 variance/2) of its size.
-
-    Args:
-        gamma: [n_e] Gamma/Gamma_0.
-        weight: [pairs] a_i a_j K_ij.
-        rows: E:E neighbours.
-        n_e: number of E.
-        variance: of the kernel along an axis, m^2.
-        asked: [1] 1 where what is stored is asked for.
-        ruffle: [n_e] m^2.
-    """
-    i = rows.first + wp.tid()
-    if asked[0] == 0:
-        return
-    own = gamma[i]
-    total = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        if j < n_e:
-            change = gamma[j] - own
-            total += weight[k] * change * change
-    ruffle[i] = 0.25 * variance * total / own
-
-
-@wp.kernel
 def open_step_chunks(
     mass: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
     area: wp.array(dtype=float),
     kappa: wp.array(dtype=float),
     gamma: wp.array(dtype=float),
-    ruffle: wp.array(dtype=float),
+    claim: wp.array(dtype=float),
     cover: wp.array(dtype=float),
     pressed: wp.array(dtype=float),
     motion: wp.array(dtype=wp.vec3),
@@ -144,7 +116,7 @@ def open_step_chunks(
         area: [n_e] m^2.
         kappa: [n_e] sum of the principal curvatures, 1/m.
         gamma: [n_e] Gamma/Gamma_0.
-        ruffle: [n_e] from `ruffle_e`, m^2; null without L or surfactant.
+        claim: [n_e] area that L take up at their thickness, m^2; null for a film without L: its surfactant is that of E.
         cover: [n_e] share of a sheet that is one film with another region's; null for a film without regions beyond it.
         pressed: [n_e] from `press_energy_e`, J; null for a single film.
         motion: [regions] velocity as a whole, m/s.
@@ -161,7 +133,7 @@ def open_step_chunks(
         closed: 1 where there is gas.
         first: see `part_range`.
         asked: [1] 1 where the energy of the surface is asked for.
-        part: parts of the slots KINETIC to STARTED.
+        part: parts of the slots KINETIC to STARTED and of the last three.
         before: [n_e] the velocity, kept for `book_forces_chunks`.
     """
     c = wp.tid()
@@ -172,6 +144,10 @@ def open_step_chunks(
     surface = wp.float64(0.0)
     air = wp.float64(0.0)
     bent = wp.float64(0.0)
+    solved = wp.float64(0.0)
+    solute = wp.float64(0.0)
+    claimed = wp.float64(0.0)
+    wide = wp.float64(0.0)
     taken = added[g]
     for i in range(start, stop):
         v = u[i]
@@ -187,10 +163,15 @@ def open_step_chunks(
             free = wp.float64(tension[g]) * a
             sigma = tension[g]
             if slope > 0.0:
-                free += wp.float64(rt * surfactant[i]) * (wp.log(wp.float64(gamma[i])) - wp.float64(1.0))
                 sigma = sigma - slope * gamma[i]
-            if ruffle:
-                free += wp.float64(slope * ruffle[i])
+                entropy = wp.float64(rt * surfactant[i]) * (wp.log(wp.float64(gamma[i])) - wp.float64(1.0))
+                if claim:
+                    solute += wp.float64(surfactant[i])
+                    claimed += wp.float64(claim[i])
+                    wide += a
+                    solved -= wp.float64(2.0 - sides) * entropy
+                else:
+                    solved += wp.float64(sides) * entropy
             surface += wp.float64(sides) * free
             if pressed:
                 surface += wp.float64(pressed[i])
@@ -205,6 +186,10 @@ def open_step_chunks(
     part[c, KINETIC] = liquid
     part[c, AIR] = air
     part[c, SURFACE] = surface
+    part[c, SURFACTANT] = solved
+    part[c, SOLUTE] = solute
+    part[c, CLAIMED] = claimed
+    part[c, WIDE] = wide
     part[c, GAS] = wp.float64(0.0)
     if closed == 1:
         d = gas[g, OFFSET]
@@ -367,18 +352,6 @@ def lose_membrane_e(
 
 
 @wp.kernel
-def halve_dilation_e(
-    ahead: wp.array(dtype=float),
-    theta: wp.array(dtype=float),
-    # outputs
-    dilation: wp.array(dtype=float),
-):
-    """div_s u half a step on, from that at its start, put in, and `ahead`, that after theta of it. [n_e], 1/s."""
-    i = wp.tid()
-    dilation[i] = dilation[i] + 0.5 / theta[0] * (ahead[i] - dilation[i])
-
-
-@wp.kernel
 def book_forces_chunks(
     mass: wp.array(dtype=float),
     area: wp.array(dtype=float),
@@ -392,10 +365,14 @@ def book_forces_chunks(
     taken: wp.array(dtype=float),
     bending: wp.array(dtype=float),
     rigid: wp.array(dtype=wp.vec3),
-    gamma: wp.array(dtype=float),
-    gamma_ahead: wp.array(dtype=float),
-    dilation: wp.array(dtype=float),
-    slope: float,
+    surfactant: wp.array(dtype=float),
+    rt: float,
+    traction: wp.array(dtype=wp.vec3),
+    passed: wp.array(dtype=wp.vec3),
+    widening: wp.array(dtype=float),
+    swelling: wp.array(dtype=float),
+    growth: wp.array(dtype=float),
+    claim: wp.array(dtype=float),
     diffused: wp.array(dtype=wp.vec3),
     body: wp.array(dtype=wp.vec3),
     gravity: wp.vec3,
@@ -409,6 +386,7 @@ def book_forces_chunks(
     closed: int,
     flowing: int,
     midway: int,
+    flat: int,
     dt: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
@@ -432,10 +410,15 @@ def book_forces_chunks(
         taken: [regions] that translations take along, kg/m^2.
         bending: [n_e] from `lose_membrane_e`, J; null where there is none.
         rigid: [1] is the pressure p.n that carries the lift, Pa; null where there is none.
-        gamma: [n_e] Gamma/Gamma_0 at the start of the step.
-        gamma_ahead: [n_e] at which the flow was pushed; null without surfactant.
-        dilation: [n_e] div_s u of the velocity that L move with, 1/s.
-        slope: R T Gamma_0, N/m.
+        surfactant: [n_e] mol on one interface.
+        rt: R T, J/mol.
+        traction: [n_e] force of uneven tension along the film, Pa; null without surfactant.
+        passed: [regions] velocity as a whole at the time of the paths: its traction and that across the film, which
+            bends, do no work together. m/s.
+        widening: [n_e] growth of the film with the paths of L, see `surfactant.widen_path_e`.
+        swelling: [n_e] what of it normal motion makes.
+        growth: [n_e] relative growth of the thickness of L.
+        claim: [n_e] area that L take up at their thickness, m^2.
         diffused: [n_e] velocity along the film after viscosity, m/s; null without.
         body: [n_e] acceleration by outside forces, m/s^2.
         gravity: its part that is stored as height, m/s^2.
@@ -449,9 +432,10 @@ def book_forces_chunks(
         closed: 1 where there is gas.
         flowing: 1 where liquid flows along the film.
         midway: 1 where L move with the velocity half a step on, whatever theta.
+        flat: 1 where `fall_chunks` follows.
         dt: [1] s.
         first: see `part_range`.
-        part: parts of the slots HOLD to SHIFTS, ENDED and IMPULSE.
+        part: parts of the slots HOLD to SHIFTS, ENDED, IMPULSE and FALLING.
     """
     c = wp.tid()
     parts = part.shape[0]
@@ -464,12 +448,15 @@ def book_forces_chunks(
     bend = wp.float64(0.0)
     flow = wp.float64(0.0)
     spread = wp.float64(0.0)
+    mended = wp.float64(0.0)
+    widened = wp.float64(0.0)
     split = wp.float64(0.0)
     slowed = wp.float64(0.0)
     viscous = wp.float64(0.0)
     damped = wp.float64(0.0)
     lifted = wp.float64(0.0)
     pushed = wp.float64(0.0)
+    fallen = wp.float64(0.0)
     ended = wp.float64(0.0)
     impulse = wp.vec3d()
     total = wp.vec3()
@@ -515,11 +502,15 @@ def book_forces_chunks(
                 against -= drag * area[i] * tangential(wind[g], n)
             slowed += wp.float64(wp.dot(against, path)) * h
             pushed += wp.float64(wp.dot(other, path)) * h
+            if flat == 1:
+                fallen += m * wp.float64(wp.dot(gravity, path)) * h
             outside -= against
-            if gamma_ahead:
-                rise = -wp.float64(gamma[i] * dilation[i]) * h
-                ahead_of = wp.float64(gamma_ahead[i] - gamma[i])
-                spread += wp.float64(2.0 * slope * area[i] / gamma[i]) * (ahead_of - wp.float64(0.5) * rise) * rise
+            if traction:
+                free = wp.float64(2.0 * rt * surfactant[i])
+                spread += free * wp.float64(widening[i] - swelling[i])
+                spread -= wp.float64(area[i] * wp.dot(traction[i], path - passed[g])) * h
+                mended -= free * wp.float64(growth[i] + widening[i])
+                widened += wp.float64(claim[i] * widening[i])
             if diffused:
                 still = tangential(diffused[i], n)
                 viscous += m * wp.float64(wp.dot(along - still, still)) / share
@@ -532,12 +523,15 @@ def book_forces_chunks(
     part[c, BENDING] = bend
     part[c, FLOW] = flow
     part[c, SPREADING] = spread
+    part[c, MENDING] = mended
+    part[c, WIDENED] = widened
     part[c, SPLITTING] = split
     part[c, DRAG] = slowed
     part[c, VISCOSITY] = viscous
     part[c, DAMPING] = damped
     part[c, LIFT] = lifted
     part[c, PUSH] = pushed
+    part[c, FALLING] = -fallen
     for k in range(3):
         part[c, IMPULSE + k] = impulse[k]
     part[c, SHIFTS] = wp.float64(0.0)
@@ -546,6 +540,42 @@ def book_forces_chunks(
     if closed == 1 and begins_region(c, parts, first.shape[0] - 1):
         swept = gas[g, AMOUNT] / (p_atm + gas[g, GAUGE]) - gas[g, VOLUME]
         part[c, PRESSING] = -wp.float64(0.5) * gas[g, INCREMENT] * swept
+
+
+@wp.kernel
+def fall_chunks(
+    mass: wp.array(dtype=float),
+    v: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    affine: wp.array(dtype=wp.mat33),
+    gravity: wp.vec3,
+    bend: wp.array(dtype=float),
+    dt: wp.array(dtype=float),
+    n: int,
+    # outputs
+    part: wp.array2d(dtype=wp.float64),
+):
+    """What L of a film at rest give up of their height, beyond the work of their weight on E. Slot FALLING.
+
+    Args:
+        mass: [n] kg.
+        v: [n] velocity at each L, m/s.
+        normal: [n] unit normals.
+        affine: [n] velocity gradient, 1/s.
+        gravity: m/s^2.
+        bend: [1] of their paths.
+        dt: [1] s.
+        n: number of L.
+        part: parts.
+    """
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    h = dt[0]
+    total = wp.float64(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        path = bent_path(v[i], normal[i], affine[i], bend[0], h)
+        total += wp.float64(mass[i] * h * wp.dot(gravity, path))
+    part[c, FALLING] = part[c, FALLING] + total
 
 
 @wp.kernel
@@ -963,24 +993,49 @@ def book_shifts_chunks(
 @wp.kernel
 def settle_step(
     part: wp.array2d(dtype=wp.float64),
+    rt: wp.float64,
     # outputs
     book: wp.array2d(dtype=wp.float64),
     asked: wp.array(dtype=wp.int32),
 ):
     """Add what the last step did to the flows, and note what is stored now where it is asked for.
 
+    Surfactant is that of L on the area that they claim, taken for all of the film's: 2 R T c ln(claimed/area) besides.
+    That changes with the mean widening of their paths, which is the flow's, and as it is mended.
+
     Args:
         part: parts of all slots.
+        rt: R T, J/mol.
         asked: [1] 1 where what is stored is asked for; 0 afterwards.
         book: [4, SLOTS] what is stored now, what was at the start of the first step, sums of the flows over the steps
-            (J), and first in the last row the number of steps that were begun.
+            (J), and in the last row the number of steps that were begun and the last drift, J.
     """
     begun = book[3, 0]
     book[3, 0] = begun + wp.float64(1.0)
+    claimed = wp.float64(0.0)
+    solute = wp.float64(0.0)
+    wide = wp.float64(0.0)
+    widened = wp.float64(0.0)
+    for c in range(part.shape[0]):
+        claimed += part[c, CLAIMED]
+        solute += part[c, SOLUTE]
+        wide += part[c, WIDE]
+        widened += part[c, WIDENED]
+    drift = wp.float64(0.0)
+    even = wp.float64(0.0)
+    if claimed > wp.float64(0.0):
+        drift = wp.float64(2.0) * rt * solute * wp.log(claimed / wide)
+        even = wp.float64(2.0) * rt * solute * widened / claimed
     for s in range(part.shape[1]):
         total = wp.float64(0.0)
         for c in range(part.shape[0]):
             total += part[c, s]
+        if s == SURFACTANT:
+            total += drift
+        if s == SPREADING:
+            total -= even
+        if s == MENDING:
+            total += even - (drift - book[3, 1])
         if s < FIRST_FLOW:
             if asked[0] == 1:
                 book[0, s] = total
@@ -988,6 +1043,7 @@ def settle_step(
                 book[1, s] = total
         elif begun > wp.float64(0.0):
             book[2, s] = book[2, s] + total
+    book[3, 1] = drift
     asked[0] = 0
 
 
@@ -997,25 +1053,45 @@ def lie_chunks(
     surfactant: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
+    eta: wp.array(dtype=float),
+    packed: float,
+    rt: float,
     n: int,
     # outputs
     part: wp.array2d(dtype=wp.float64),
 ):
-    """Parts of mass, surfactant, sum m x and momentum of particles. Slots 0, 1, 2-4, 5-7; kg, mol, kg m, kg m/s."""
-    c = wp.tid()
+    """Parts of mass, surfactant, sum m x, momentum and the free energy of the surfactant of particles.
+
+    Args:
+        mass: [n] kg.
+        surfactant: [n] mol on one interface.
+        x: [n] m.
+        u: [n] m/s.
+        eta: [n] thickness of L, m; null where none has surfactant.
+        packed: rho/Gamma_0, kg/(mol m).
+        rt: R T, J/mol.
+        n: number of particles.
+        part: slots 0, 1, 2-4, 5-7, 8; kg, mol, kg m, kg m/s, J.
+    """
+    t = wp.tid()
     size = (n + part.shape[0] - 1) // part.shape[0]
     liquid = wp.float64(0.0)
     amount = wp.float64(0.0)
+    free = wp.float64(0.0)
     place = wp.vec3d()
     momentum = wp.vec3d()
-    for i in range(c * size, wp.min(n, (c + 1) * size)):
+    for i in range(t * size, wp.min(n, (t + 1) * size)):
         m = wp.float64(mass[i])
         liquid += m
-        amount += wp.float64(surfactant[i])
+        c = surfactant[i]
+        amount += wp.float64(c)
+        if eta and c > 0.0:
+            free += wp.float64(2.0 * rt * c) * (wp.log(wp.float64(c * packed * eta[i] / mass[i])) - wp.float64(1.0))
         place += m * wp.vec3d(x[i])
         momentum += m * wp.vec3d(u[i])
-    part[c, 0] = liquid
-    part[c, 1] = amount
+    part[t, 0] = liquid
+    part[t, 1] = amount
+    part[t, 8] = free
     for k in range(3):
-        part[c, 2 + k] = place[k]
-        part[c, 5 + k] = momentum[k]
+        part[t, 2 + k] = place[k]
+        part[t, 5 + k] = momentum[k]

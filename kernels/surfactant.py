@@ -2,8 +2,9 @@
 
 import warp as wp
 
+from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.sph import tangential
+from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
 
@@ -105,6 +106,94 @@ def largest_chunks(
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         most = wp.max(most, value[i])
     part[c] = most
+
+
+@wp.kernel
+def find_path_e(
+    u: wp.array(dtype=wp.vec3),
+    before: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    passed: wp.array(dtype=wp.vec3),
+    midway: float,
+    theta: wp.array(dtype=float),
+    # outputs
+    path: wp.array(dtype=wp.vec3),
+):
+    """Velocity that L move with around each E, as seen from the film as a whole. [n_e], m/s.
+
+    Args:
+        u: [n] velocity after theta dt, m/s.
+        before: [n] at the start of the step, m/s; null where L do not look back at it.
+        region: [n] region of each E.
+        passed: [regions] velocity as a whole at the time of the path, m/s.
+        midway: 1 where L move with the velocity half a step on, whatever theta, 0 where with that after theta dt.
+        theta: [1] share of the step.
+        path: [n] m/s.
+    """
+    i = wp.tid()
+    v = u[i]
+    if before:
+        v -= midway * (1.0 - 0.5 / theta[0]) * (v - before[i])
+    path[i] = v - passed[region[i]]
+
+
+LEAST_WIDENING = wp.constant(-0.6)
+"""Film that is left of an area less itself where L run together: beyond that straight paths cross."""
+
+
+@wp.kernel
+def widen_path_e(
+    path: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=Quadric),
+    rows: Neighbors,
+    gradient: wp.array(dtype=wp.vec3),
+    bend: wp.array(dtype=float),
+    dt: wp.array(dtype=float),
+    # outputs
+    growth: wp.array(dtype=float),
+    swelling: wp.array(dtype=float),
+):
+    """By how much the film widens as L move, the logarithm of an area over what it was. [n_e].
+
+    An area that moves by v dt becomes 1 + dt div_s v + dt^2 (det grad_s v - K |v|^2/2) of itself, the last as what
+    moves along a tangent of a film of Gauss' curvature K is put back onto it. Paths bent by v.grad_s v take 1/2 dt^2 of
+    its divergence back, -2 det grad_s v + K |v|^2 but for terms of div_s v that add up to nothing over a film.
+
+    Args:
+        path: [n] velocity that L move with, m/s.
+        normal: [n] unit normals.
+        surface: [n_e] fitted surfaces.
+        rows: E:E neighbours.
+        gradient: [pairs] gradient weights, 1/m.
+        bend: [1] of the paths, 0 to 1.
+        dt: [1] s.
+        growth: [n_e].
+        swelling: [n_e] what of it normal motion of a curved film makes, to the first order; null if nobody asks.
+    """
+    i = rows.first + wp.tid()
+    n = normal[i]
+    whole = path[i]
+    own = tangential(whole, n)
+    total = float(0.0)
+    change = wp.mat33()
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        g = gradient[k]
+        total += wp.dot(path[j] - whole, g)
+        change += wp.outer(tangential(path[j], normal[j]) - own, g)
+    e1, e2 = tangent_basis(n)
+    a = change * e1
+    b = change * e2
+    det = wp.dot(e1, a) * wp.dot(e2, b) - wp.dot(e1, b) * wp.dot(e2, a)
+    second = 2.0 * surface[i].second
+    kappa = wp.trace(second)
+    gauss = 0.5 * (kappa * kappa - wp.ddot(second, second))
+    h = dt[0]
+    wider = h * total + (1.0 - bend[0]) * h * h * (det - 0.5 * gauss * wp.length_sq(own))
+    growth[i] = wp.log(1.0 + wp.max(wider, LEAST_WIDENING))
+    if swelling:
+        swelling[i] = h * (total - wp.trace(change))
 
 
 @wp.kernel

@@ -261,10 +261,9 @@ def gather_e_to_l(
 
 @wp.kernel
 def thickness_growth_e(
-    dilation: wp.array(dtype=float),
+    widening: wp.array(dtype=float),
     claim: wp.array(dtype=float),
     area: wp.array(dtype=float),
-    dt: wp.array(dtype=float),
     rate: wp.array(dtype=float),
     slack: float,
     most: float,
@@ -278,10 +277,9 @@ def thickness_growth_e(
     `most` is mended at once: L that meet head-on or leave a place empty do not obey (8).
 
     Args:
-        dilation: [n_e] div_s u, 1/s.
+        widening: [n_e] logarithm of an area after the step over that before.
         claim: [n_e] claimed area, m^2.
         area: [n_e] control area, m^2.
-        dt: [1] s.
         rate: [1] share of the mismatch mended in this step, 0 to 1.
         slack: relative mismatch that is left alone: mending the noise of single E would sharpen it step by step.
         most: relative mismatch beyond which it is mended at once.
@@ -293,4 +291,4 @@ def thickness_growth_e(
         mismatch = wp.log(claim[i] / area[i])
         near = wp.clamp(mismatch, -most, most)
         mended = rate[0] * (near - wp.clamp(near, -slack, slack)) + mismatch - near
-    growth[i] = mended - dt[0] * dilation[i]
+    growth[i] = mended - widening[i]

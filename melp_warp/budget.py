@@ -16,7 +16,6 @@ import warp as wp
 
 from melp_warp.film import Film
 from melp_warp.kernels import budget as kb
-from melp_warp.kernels import surfactant as ks
 from melp_warp.kernels.boundary import vec7d
 from melp_warp.launch import copy, launch
 from melp_warp.linear import RationalLaplacian
@@ -42,12 +41,6 @@ FAINTEST = 1e-7
 AIR_TOLERANCE = 3e-2
 """Relative residual of the air's momentum; that of its energy is about its square."""
 
-VARIANCE = 0.48309 - 0.22538
-"""That of the transfer's kernel along an axis, less what gradients by linear fits fall short of, over (r/3)^2.
-
-Both are moments of the quintic spline, <x^2> and <x^4>/(6 <x^2>).
-"""
-
 
 @dataclass(frozen=True)
 class Term:
@@ -69,7 +62,8 @@ class Term:
 TERMS = (
     Term("kinetic", STORE, "motion of the liquid", ((kb.KINETIC, 1),)),
     Term("air", STORE, "motion of the air that films take along", ((kb.AIR, 1),)),
-    Term("surface", STORE, "free energy of the surfaces, surfactant included", ((kb.SURFACE, 1),)),
+    Term("surface", STORE, "free energy of the surfaces, without surfactant", ((kb.SURFACE, 1),)),
+    Term("surfactant", STORE, "free energy of the surfactant on them", ((kb.SURFACTANT, 1),)),
     Term("gas", STORE, "the gas inside against the pressure outside, since the start", ((kb.GAS, 1),)),
     Term("gravity", STORE, "height of the liquid, since the start"),
     Term("lift", WORK, "the lighter gas that carries the film", ((kb.LIFT, 1),)),
@@ -84,11 +78,15 @@ TERMS = (
     Term("lines", LOSS, "force passed on along lines", ((kb.LINES, 1),)),
     Term("debt", LOSS, "momentum of foams given back", ((kb.DEBT, 1),)),
     Term("flow", LOSS, "scheme of the flow along the film", ((kb.FLOW, 1), (kb.SPREADING, 1))),
+    Term("mending", LOSS, "thickness of L kept in step with that of E", ((kb.MENDING, 1),)),
     Term("splitting", LOSS, "viscosity solved apart from the flow", ((kb.SPLITTING, 1),)),
     Term("hold", LOSS, "momentum of the film as a whole held", ((kb.HOLD, 1),)),
     Term("rim", LOSS, "what the rim takes: motion, and liquid with its height"),
     Term(
-        "transfer", LOSS, "from E to L, along with L, back to E; normals that turn", ((kb.ENDED, 1), (kb.STARTED, -1))
+        "transfer",
+        LOSS,
+        "from E to L, along with L, back to E; normals that turn",
+        ((kb.ENDED, 1), (kb.STARTED, -1), (kb.FALLING, 1)),
     ),
     Term("air_range", LOSS, "air beyond its range, kept from making energy", ((kb.RANGE, 1),)),
     Term("redistribution", LOSS, "shifts of E", ((kb.SHIFTS, 1),)),
@@ -151,8 +149,7 @@ class Budget:
             self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
-        self._halfway = film.zeros(film.n_e) if f.circulation else None
-        self._ruffle = film.zeros(film.n_e) if f.lagrangian and f.marangoni else None
+        self._falls = f.lagrangian and not f.moving and any(film.surroundings.gravity)
         self._pressed, self._stretched, self._touched = (
             (film.zeros(film.n_e) for _ in range(3)) if f.foam else 3 * (None,)
         )
@@ -163,10 +160,6 @@ class Budget:
     def open_step(self) -> None:
         """Note what is stored, once E hold what L carry, and settle the step before."""
         film, e, s = self.film, self.state.e, self._stages
-        if self._ruffle is not None:
-            variance = VARIANCE * (film.r / 3.0) ** 2
-            inputs = [s.fields.gamma, s.geometry.weight, s.lists.ee.rows, film.n_e, variance, self._asked]
-            film.launch_e(kb.ruffle_e, inputs, [self._ruffle])
         cover = None
         if film.features.foam:
             m, g = s.membrane, s.geometry
@@ -176,7 +169,8 @@ class Budget:
         film.launch_parts(
             kb.open_step_chunks,
             [
-                *(e.mass, e.surfactant, s.geometry.area, s.geometry.kappa, s.fields.gamma, self._ruffle),
+                *(e.mass, e.surfactant, s.geometry.area, s.geometry.kappa, s.fields.gamma),
+                s.transfer.claim if s.transfer else None,
                 *(cover, self._pressed, self.state.motion, e.u, e.normal),
                 *(film.tension, film.slope, film.material.rt, self._air(), self.state.gas, film.surroundings.pressure),
                 *(*self._carried(), int(film.features.closed), film.first),
@@ -184,7 +178,7 @@ class Budget:
             ],
             [self.part, self.before],
         )
-        film.launch_one(kb.settle_step, [self.part], [self.book, self._asked])
+        film.launch_one(kb.settle_step, [self.part, film.material.rt], [self.book, self._asked])
 
     def book_forces(self) -> None:
         """Book what the forces of a step have done, once E have the velocity of its end."""
@@ -201,8 +195,7 @@ class Budget:
                 *((membrane.found, membrane.start) if held else (None, None)),
                 *(self._air(), membrane.taken if f.moving else None, self._bending),
                 membrane.rigid if held and not f.foam else None,
-                *(s.fields.gamma, flow.solver.x if flow and flow.solver else None),
-                *(self._dilation(), film.slope),
+                *(e.surfactant, film.material.rt, *self._widening()),
                 *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.gravity),
                 *(film.surroundings.drag, flow.wind if flow else None, film.surroundings.damping),
                 membrane.drift if f.foam else None,
@@ -213,26 +206,35 @@ class Budget:
                     int(f.closed),
                     int(f.lagrangian),
                     int(f.circulation),
+                    int(self._falls),
                     s.dt.array,
                     film.first,
                 ),
             ],
             [self.part],
         )
+        if self._falls:
+            lag = self.state.l
+            inputs = [lag.mass, lag.v, lag.normal, lag.affine, film.gravity, flow.bend, s.dt.array, film.n_l]
+            film.launch_parts(kb.fall_chunks, inputs, [self.part])
         if f.foam:
             self._book_foam()
         if f.dragged:
             film.launch_regions(kb.book_whole_r, [membrane.drag.force, *self._path(), s.dt.array], [self.part])
 
-    def _dilation(self) -> wp.array | None:
-        """div_s u of the velocity that L move with; None without them."""
-        flow, s = self._stages.tangential, self._stages
-        if self._halfway is None:
-            return flow.dilation if flow else None
-        film = self.film
-        film.launch_e(ks.dilation_e, [flow.before, s.lists.ee.rows, s.geometry.gradient], [self._halfway])
-        film.launch_e(kb.halve_dilation_e, [flow.dilation, flow.theta], [self._halfway])
-        return self._halfway
+    def _thin(self) -> list:
+        """Thickness of L and rho/Gamma_0, which give what surfactant they have on an area, and R T."""
+        m, l = self.film.material, self.state.l
+        if l is None or not self.film.features.marangoni:
+            return [None, 0.0, 0.0]
+        return [l.eta, m.density / m.surfactant, m.rt]
+
+    def _widening(self) -> list:
+        """Traction of uneven tension, and what becomes of the area and the thickness of L; None without surfactant."""
+        flow, transfer = self._stages.tangential, self._stages.transfer
+        if not self.film.features.marangoni or flow is None:
+            return 6 * [None]
+        return [flow.traction, self._stages.passed, flow.widening, flow.swelling, transfer.growth, transfer.claim]
 
     def _path(self) -> list:
         """Velocities as a whole that the films move at in a step: two and the share of the way between them."""
@@ -320,7 +322,7 @@ class Budget:
         launch(
             kb.lie_chunks,
             self._lying.shape[0],
-            [p.mass, p.surfactant, p.x, p.u, n],
+            [p.mass, p.surfactant, p.x, p.u, *self._thin(), n],
             [self._lying],
             film.device,
         )
@@ -360,11 +362,12 @@ class Budget:
     def read(self) -> Reading:
         """What has been summed up so far (reads back)."""
         stored, opened, flow, begun = self.book.numpy()
-        liquid, surfactant, *lying = self._lying.numpy().sum(axis=0).tolist()
+        liquid, surfactant, *lying, free = self._lying.numpy().sum(axis=0).tolist()
         lifted = np.zeros(3) if self._rim is not None else liquid * self.state.origin
         weighed = {"gravity": -float(np.dot(self.film.surroundings.gravity, lying[:3] + lifted))}
         if self._air_solver is not None:
             weighed["air"] = float(self._airs.numpy().sum())
+        weighed["surfactant"] = free
         taken = np.zeros(7)
         if self._rim is not None:
             taken = self._taken.numpy().sum(axis=0) + self._border.numpy()
@@ -530,4 +533,4 @@ class Ledger:
         }
 
     def _stores(self, sums: Mapping[str, float], weighed: Mapping[str, float]) -> dict[str, float]:
-        return {name: sums[name] for name in _of(STORE)} | dict(weighed)
+        return {name: sums[name] + weighed.get(name, 0.0) for name in _of(STORE)}

@@ -470,10 +470,10 @@ def _share_area(stepper: Stepper) -> None:
         return
     stepper.l_advance.project()
     stepper.lists.rebuild()
-    none, no_time, at_once = film.zeros(film.n_e), film.zeros(1), wp.full(1, 1.0, dtype=float, device=film.device)
+    none, at_once = film.zeros(film.n_e), wp.full(1, 1.0, dtype=float, device=film.device)
     for _ in range(AREA_STEPS):
         transfer.gather()
-        settings = [none, transfer.claim, geometry.area, no_time, at_once, 0.0, math.inf]
+        settings = [none, transfer.claim, geometry.area, at_once, 0.0, math.inf]
         film.launch_e(kt.thickness_growth_e, settings, [transfer.growth])
         transfer.gather_to_l()
 

@@ -187,7 +187,7 @@ class Memory:
         owed: [regions] momentum (kg m/s) that a foam owes its regions, and their covered area (m^2).
         spin: [regions] the same of angular momentum, kg m^2/s.
         part: [parts, SLOTS] energy budget of the step in progress, see `Budget`.
-        lying: [parts, 8] where the liquid lies.
+        lying: [parts, 9] where the liquid lies.
         book: [4, SLOTS] what the steps add up to.
         asked: [1] whether the step to come is to note what is stored.
     """
@@ -210,7 +210,7 @@ class Memory:
     owed: wp.array = _array(wp.vec4, "r", lambda f: f.foam)
     spin: wp.array = _array(wp.vec3, "r", lambda f: f.foam)
     part: wp.array = _array(wp.float64, "p", lambda f: f.budget, SLOTS)
-    lying: wp.array = _array(wp.float64, "p", lambda f: f.budget, 8)
+    lying: wp.array = _array(wp.float64, "p", lambda f: f.budget, 9)
     book: wp.array = _array(wp.float64, 4, lambda f: f.budget, SLOTS)
     asked: wp.array = _array(wp.int32, 1, lambda f: f.budget)
 

@@ -98,7 +98,7 @@ class Stepper:
         # lists within a film move along with it; those between regions do not
         self.at_rest = film.zeros(film.regions, wp.vec3) if f.foam else self.frame
         self.dt = Setting(film.device)
-        self._all = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
+        self._all, self._half = (wp.full(1, share, dtype=wp.float32, device=film.device) for share in (1.0, 0.5))
         self.wall = dict.fromkeys(STAGES, 0.0)
         self.accounts: dict[str, Account] = {}
         self.whole = film.device.is_cuda
@@ -212,7 +212,9 @@ class Stepper:
         if self.film.features.recoils:
             self.membrane.recoil(self.tangential.traction, self.tangential.theta, self.dt.array)
         self._slow_down(self.tangential.theta)
-        self.tangential.find_dilation()
+        if self.film.features.moving:
+            self.membrane.find_motion_at(self._half if self.film.features.circulation else self.tangential.theta)
+        self.tangential.find_widening(self.passed, self.dt.array)
         self._guard_e("surfactant")
 
     def _slow_down(self, theta: wp.array) -> None:
@@ -224,7 +226,7 @@ class Stepper:
         flow = self.tangential
         if self.circulation is not None:
             self.circulation.take(flow, self.dt.array)
-        self.transfer.e_to_l(flow.dilation, flow.before, flow.theta, self.dt.array)  # (16)-(18), (8)
+        self.transfer.e_to_l(flow.widening, flow.before, flow.theta)  # (16)-(18), (8)
         flow.finish()
         if self.edge is not None:
             self.edge.still()
@@ -261,8 +263,6 @@ class Stepper:
         self._guard_e("geometry")
 
     def _advance_l(self) -> None:
-        if self.film.features.moving:
-            self.membrane.find_motion_at(self.tangential.theta)
         if self.edge is not None:
             self.edge.mark()
         self.l_advance.advance(self.frame, self.passed, self.tangential.bend, self.dt.array)  # Algorithm 7

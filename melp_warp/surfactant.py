@@ -124,7 +124,9 @@ class Tangential:
     ):
         self.film, self.state, self.lists, self.forces = film, state, lists, forces
         self.geometry, self.fields, self.rim = geometry, fields, rim
-        self.dilation = film.zeros(film.n_e)
+        self.dilation, self.widening = film.zeros(film.n_e), film.zeros(film.n_e)
+        self.swelling = film.zeros(film.n_e) if film.features.budget else None
+        self.path = film.zeros(film.total, wp.vec3)
         self.midpoint = film.numerics.flow == "midpoint"
         self._rate = fastest_rate(film)
         rubbed = film.features.viscous or film.surroundings.drag > 0.0
@@ -134,7 +136,7 @@ class Tangential:
         self._shear, self._shears = film.zeros(film.n_e), film.parts()
         self.before = film.zeros(film.total, wp.vec3) if film.numerics.looks_back else None
         self.wind = state.motion if film.features.dragged else None
-        pulls = film.features.recoils or (film.features.collects and film.features.marangoni)
+        pulls = film.features.recoils or (film.features.marangoni and (film.features.collects or film.features.budget))
         self.traction = film.zeros(film.n_e, wp.vec3) if pulls else None
         self.drainage_length: float | None = None
         numerics = film.numerics
@@ -223,6 +225,19 @@ class Tangential:
         if film.features.circulation:
             bend = 0.0  # the velocity half a step on has the acceleration in it
         film.launch_one(ks.choose_share, [self._shears, *bounds, bend, dt], [self.theta, self.bend, self._ahead])
+
+    def find_widening(self, passed: wp.array, dt: wp.array) -> None:
+        """Find how L will move and by how much the film widens with them; `passed` [regions] as a whole, m/s."""
+        film, e, rows, geometry = self.film, self.state.e, self.lists.ee.rows, self.geometry
+        midway = float(film.features.circulation)
+        film.launch_e(ks.find_path_e, [e.u, self.before, e.region, passed, midway, self.theta], [self.path])
+        if self.rim is not None:
+            self.rim.mirror(self.path)
+        film.launch_e(
+            ks.widen_path_e,
+            [self.path, e.normal, geometry.surface, rows, geometry.gradient, self.bend, dt],
+            [self.widening, self.swelling],
+        )
 
     def find_dilation(self) -> wp.array:
         """div_s u of the velocity as it is now, no flow through a rim. [n_e], 1/s."""

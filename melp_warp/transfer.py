@@ -115,18 +115,17 @@ class Transfer:
             [self.weight, self.given, self.lost],
         )
 
-    def e_to_l(self, dilation: wp.array, before: wp.array | None, theta: wp.array, dt: wp.array) -> None:
+    def e_to_l(self, widening: wp.array, before: wp.array | None, theta: wp.array) -> None:
         """Velocity, affine state and thickness of L from E, (16)-(18) and (8).
 
         Args:
-            dilation: [n_e] div_s u, 1/s.
+            widening: [n_e] logarithm of an area after the step over that before.
             before: [n] velocity of E at the start of the step, m/s, that L look back at; None where they do not.
             theta: [1] share of the step after which the velocity of E is.
-            dt: [1] s.
         """
         self.film.launch_e(
             kt.thickness_growth_e,
-            [dilation, self.claim, self.geometry.area, dt, self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT],
+            [widening, self.claim, self.geometry.area, self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT],
             [self.growth],
         )
         self._gather_to_l(before, theta, self.film.numerics.kept)

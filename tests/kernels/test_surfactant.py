@@ -189,6 +189,36 @@ def test_dilation_of_expansion(device):
     assert np.abs(dilate(s) * radius / 2.0 - 1.0).max() < 3e-5
 
 
+def widen(s, bend, dt):
+    """Logarithm of an area after a step along the velocity of E over that before, with the boundary's own velocity."""
+    s.tangential.rim = None
+    s.tangential.theta.fill_(1.0)
+    s.tangential.bend.fill_(bend)
+    s.tangential.find_widening(s.passed, s.dt.at(dt))
+    return s.tangential.widening.numpy().astype(np.float64)
+
+
+@pytest.mark.parametrize("bend", [0.0, 1.0])
+def test_straight_paths_widen_a_film_that_turns(bend, device):
+    """x + dt w x x has the determinant 1 + (w dt)^2; a path of second order leaves an area as it is."""
+    film, s = make_stepper(Jittered(LYING), 1000, device, l_per_e=1)
+    set_velocity(s, lambda x: np.cross([0.0, 20.0, 0.0], x))
+    x = positions(s)
+    inside = np.all(np.abs(x[:, [0, 2]]) < np.abs(x[:, [0, 2]]).max(axis=0) - 1.5 * film.r, axis=1)
+    assert inside.sum() > 100
+    assert widen(s, bend, 0.02)[inside] == pytest.approx(np.log(1.0 + (1.0 - bend) * 0.16), abs=2e-5)
+
+
+def test_straight_paths_on_a_bubble_that_turns(device):
+    """They widen it at the poles by (w dt)^2, narrow it by half of that at the equator, and nothing on the whole."""
+    _, s = make_stepper(Jittered(Sphere(0.05)), 2000, device, l_per_e=1)
+    set_velocity(s, lambda x: np.cross([0.0, 10.0, 0.0], x))
+    cosine = s.state.e.normal.numpy()[:, 1].astype(np.float64)
+    ratio = np.expm1(widen(s, 0.0, 0.02)) / 0.04
+    assert ratio == pytest.approx(1.5 * cosine**2 - 0.5, abs=0.02)
+    assert np.average(ratio, weights=s.geometry.area.numpy()) == pytest.approx(0.0, abs=5e-3)
+
+
 @pytest.mark.parametrize("shape", [Rectangle(WIDTH, HEIGHT), Disc(0.1), Sphere(0.05)])
 def test_midpoint_rule_holds_at_any_step(shape, device):
     """-div grad <= Laplacian: of all fields, its share of the matrix of (14) is at most 1.

@@ -144,8 +144,9 @@ def test_thickness_follows_dilation(device):
     s.transfer.normalize()
     wp.copy(s.transfer.claim, s.geometry.area)
     before = f64(s.state.l.eta)
-    dilation = wp.full(film.n_e, 12.0, dtype=float, device=device)
-    s.transfer.e_to_l(dilation, None, wp.full(1, 1.0, dtype=float, device=film.device), s.prepare(0.01))
+    s.prepare(0.01)
+    widening = wp.full(film.n_e, 0.12, dtype=float, device=device)
+    s.transfer.e_to_l(widening, None, wp.full(1, 1.0, dtype=float, device=film.device))
     assert f64(s.state.l.eta) / before == pytest.approx(np.exp(-0.12), rel=1e-5)
 
 
@@ -172,7 +173,8 @@ def test_thickness_relaxes_to_that_of_e(device):
 def to_l(film, s, dt, before=None, theta=1.0):
     """E to L without dilation; `before` the velocity of E at the start of the step."""
     before = None if before is None else wp.array(before, dtype=wp.vec3, device=film.device)
-    s.transfer.e_to_l(film.zeros(film.n_e), before, wp.full(1, theta, dtype=float, device=film.device), s.prepare(dt))
+    s.prepare(dt)
+    s.transfer.e_to_l(film.zeros(film.n_e), before, wp.full(1, theta, dtype=float, device=film.device))
 
 
 def in_plane(film, s, seed=2):
