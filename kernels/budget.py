@@ -116,7 +116,7 @@ def open_step_chunks(
         area: [n_e] m^2.
         kappa: [n_e] sum of the principal curvatures, 1/m.
         gamma: [n_e] Gamma/Gamma_0.
-        claim: [n_e] area that L take up at their thickness, m^2; null for a film without L: its surfactant is that of E.
+        claim: [n_e] area that L take up at their thickness, m^2; null without L, where surfactant is that of E.
         cover: [n_e] share of a sheet that is one film with another region's; null for a film without regions beyond it.
         pressed: [n_e] from `press_energy_e`, J; null for a single film.
         motion: [regions] velocity as a whole, m/s.

@@ -224,10 +224,10 @@ class Budget:
 
     def _thin(self) -> list:
         """Thickness of L and rho/Gamma_0, which give what surfactant they have on an area, and R T."""
-        m, l = self.film.material, self.state.l
-        if l is None or not self.film.features.marangoni:
+        m, lag = self.film.material, self.state.l
+        if lag is None or not self.film.features.marangoni:
             return [None, 0.0, 0.0]
-        return [l.eta, m.density / m.surfactant, m.rt]
+        return [lag.eta, m.density / m.surfactant, m.rt]
 
     def _widening(self) -> list:
         """Traction of uneven tension, and what becomes of the area and the thickness of L; None without surfactant."""

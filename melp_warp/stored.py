@@ -153,7 +153,7 @@ def _check_ledger(stored: object, features: Features) -> Ledger | None:
     for name in ("flows", "past"):
         _check_terms(name, stored[name], flows)
     air = isinstance(stored["weighed"], dict) and "air" in stored["weighed"]  # another scheme may have had none
-    _check_terms("weighed", stored["weighed"], {"gravity", *(["air"] if air else [])}, none=True)
+    _check_terms("weighed", stored["weighed"], {"gravity", "surfactant", *(["air"] if air else [])}, none=True)
     balance = stored["balance"]
     require(isinstance(balance, dict), "balance", balance, "numbers by name")
     if balance:
