@@ -8,7 +8,6 @@ import warp as wp
 
 from melp_warp.kernels.advance import bent_path
 from melp_warp.kernels.air_range import AFTER, BEFORE
-from melp_warp.kernels.contact import Contact, meet_sheets, near_share, press
 from melp_warp.kernels.gas import AMOUNT, AREA, GAUGE, INCREMENT, OFFSET, VOLUME
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
@@ -54,7 +53,8 @@ CLAIMED = wp.constant(31)
 SOLUTE = wp.constant(32)
 FALLING = wp.constant(33)
 WIDENED = wp.constant(34)
-SLOTS = wp.constant(35)
+CLOSING = wp.constant(35)
+SLOTS = wp.constant(36)
 
 
 @wp.func
@@ -87,7 +87,6 @@ def open_step_chunks(
     gamma: wp.array(dtype=float),
     claim: wp.array(dtype=float),
     cover: wp.array(dtype=float),
-    pressed: wp.array(dtype=float),
     motion: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
@@ -118,7 +117,6 @@ def open_step_chunks(
         gamma: [n_e] Gamma/Gamma_0.
         claim: [n_e] area that L take up at their thickness, m^2; null without L, where surfactant is that of E.
         cover: [n_e] share of a sheet that is one film with another region's; null for a film without regions beyond it.
-        pressed: [n_e] from `press_energy_e`, J; null for a single film.
         motion: [regions] velocity as a whole, m/s.
         u: [n] m/s.
         normal: [n] unit normals.
@@ -144,6 +142,7 @@ def open_step_chunks(
     surface = wp.float64(0.0)
     air = wp.float64(0.0)
     bent = wp.float64(0.0)
+    size = wp.float64(0.0)
     solved = wp.float64(0.0)
     solute = wp.float64(0.0)
     claimed = wp.float64(0.0)
@@ -173,9 +172,8 @@ def open_step_chunks(
                 else:
                     solved += wp.float64(sides) * entropy
             surface += wp.float64(sides) * free
-            if pressed:
-                surface += wp.float64(pressed[i])
             bent += wp.float64(sides * sigma * kappa[i]) * a
+            size += a
     part[c, STARTED] = liquid + air
     whole = wp.float64(wp.length_sq(motion[g])) * wp.float64(0.5)
     if kept == 1:
@@ -193,6 +191,8 @@ def open_step_chunks(
     part[c, GAS] = wp.float64(0.0)
     if closed == 1:
         d = gas[g, OFFSET]
+        if cover:
+            part[c, CLOSING] = d * (bent + gas[g, GAUGE] * size)
         part[c, SURFACE] = surface - d * bent
         if begins_region(c, parts, first.shape[0] - 1):
             part[c, GAS] = p_atm * gas[g, VOLUME] - gas[g, AMOUNT] * wp.log(gas[g, VOLUME])
@@ -739,167 +739,232 @@ def book_range_chunks(
         part[c, RANGE] = total
 
 
-@wp.func
-def contact_energy(gap: float, spring: float, cling: float, contact: Contact) -> float:
-    """Energy of two sheets that press on each other and cling, J/m^2: minus its slope is `contact.hold`'s pressure."""
-    pressed = wp.max(contact.give - gap, 0.0)
-    return 0.5 * spring * pressed * pressed - cling * near_share(gap, contact.range)
-
-
-@wp.kernel
-def press_energy_e(
-    x: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    area: wp.array(dtype=float),
-    region: wp.array(dtype=wp.int32),
-    push: wp.array(dtype=float),
-    facing: Neighbors,
-    contact: Contact,
-    asked: wp.array(dtype=wp.int32),
-    # outputs
-    energy: wp.array(dtype=float),
-):
-    """Energy of the springs between sheets, half of each pair's; what they save by clinging is the cover's. [n_e], J.
-
-    Args:
-        x: [n] m.
-        normal: [n] unit normals.
-        area: [n_e] m^2.
-        region: [n] region of each E.
-        push: [regions] pressure at gap 0, Pa.
-        facing: E of other regions near each E.
-        contact: constants.
-        asked: [1] 1 where what is stored is asked for.
-        energy: [n_e] J.
-    """
-    i = facing.first + wp.tid()
-    if asked[0] == 0:
-        return
-    total = float(0.0)
-    for s in range(facing.start[i], facing.stop[i]):
-        j = facing.index[s]
-        w, _along, gap = meet_sheets(x[j] - x[i], normal[i], normal[j], contact.reach)
-        if w > 0.0 and gap < contact.give:
-            spring = 0.5 * (push[region[i]] + push[region[j]]) / contact.give
-            total += 0.5 * area[i] * area[j] * w * contact_energy(gap, spring, 0.0, contact)
-    energy[i] = total
-
-
-@wp.kernel
-def lose_contact_e(
-    x: wp.array(dtype=wp.vec3),
-    predicted: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    area: wp.array(dtype=float),
-    eta: wp.array(dtype=float),
-    density: float,
-    region: wp.array(dtype=wp.int32),
-    added: wp.array(dtype=float),
-    push: wp.array(dtype=float),
-    free: wp.array(dtype=float),
-    change: wp.array(dtype=float),
-    u_mid: wp.array(dtype=float),
-    frame: wp.array(dtype=wp.vec3),
-    facing: Neighbors,
-    contact: Contact,
-    dt: wp.array(dtype=float),
-    # outputs
-    loss: wp.array(dtype=float),
-):
-    """What contact takes of the energy of sheets that move: what was stored less what it did, half of each pair's. J.
-
-    Args:
-        x: [n] m.
-        predicted: [n] where the forces were found, m.
-        normal: [n] unit normals.
-        area: [n_e] m^2.
-        eta: [n_e] m.
-        density: kg/m^3.
-        region: [n] region of each E.
-        added: [regions] mass of the air that moves along, kg/m^2.
-        push: [regions] pressure at gap 0, Pa.
-        free: [n_e] see `contact.find_cover_e`.
-        change: [n_e] of the normal speed in the solve, m/s.
-        u_mid: [n_e] normal speed that moves E, m/s.
-        frame: [regions] velocity as a whole in the step, m/s.
-        facing: E of other regions near each E.
-        contact: constants.
-        dt: [1] s.
-        loss: [n_e] J.
-    """
-    i = facing.first + wp.tid()
-    h = dt[0]
-    n = normal[i]
-    g = region[i]
-    near = contact
-    inertia = density * eta[i] + added[g]
-    way = u_mid[i] * n + tangential(frame[g], n)
-    total = float(0.0)
-    for s in range(facing.start[i], facing.stop[i]):
-        j = facing.index[s]
-        m = normal[j]
-        w, along, gap = meet_sheets(predicted[j] - predicted[i], n, m, contact.reach)
-        if w > 0.0 and gap < contact.range:
-            strength = 0.5 * (push[g] + push[region[j]])
-            both = 0.5 * (inertia + added[region[j]] + density * eta[j])
-            near.cling = 0.5 * (free[i] + free[j]) * contact.cling
-            start = wp.dot(x[j] - x[i], along)
-            _rest, pressure, slope = press(gap, start, strength, both, near, h)
-            used = pressure - slope * h * wp.dot(along, change[j] * m - change[i] * n)
-            moved = h * wp.dot(along, u_mid[j] * m + tangential(frame[region[j]], m) - way)
-            spring = strength / contact.give
-            had = contact_energy(start, spring, near.cling, contact)
-            has = contact_energy(start + moved, spring, near.cling, contact)
-            total += 0.5 * area[i] * area[j] * w * (had - has - used * moved)
-    loss[i] = total
-
-
 @wp.kernel
 def lose_tension_e(
-    normal: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    predicted: wp.array(dtype=wp.vec3),
     gamma: wp.array(dtype=float),
     cover: wp.array(dtype=float),
     region: wp.array(dtype=wp.int32),
-    u_mid: wp.array(dtype=float),
-    frame: wp.array(dtype=wp.vec3),
     tension: wp.array(dtype=float),
     slope: float,
     star: Neighbors,
     tie: wp.array(dtype=float),
+    u_mid: wp.array(dtype=float),
+    change: wp.array(dtype=float),
     lag: float,
     dt: wp.array(dtype=float),
     # outputs
+    pull: wp.array(dtype=wp.vec3),
     loss: wp.array(dtype=float),
 ):
-    """What tension takes that is that of `lag` after the end of the step: (1/2 + lag/dt) d.K d with the way d. J.
+    """Tension that moves the sheets of a foam, at the predicted place and `lag` later, and what the matrix answers.
 
     Args:
-        normal: [n] unit normals.
+        x: [n] at the start of the step, m.
+        predicted: [n] m.
         gamma: [n_e] relative surfactant concentration.
         cover: [n_e] c.
         region: [n] region of each E.
-        u_mid: [n_e] normal speed that moves E, m/s.
-        frame: [regions] velocity as a whole in the step, m/s.
         tension: [regions] sigma_0, N/m.
         slope: R T Gamma_0, N/m.
         star: neighbours across the cell's edges.
         tie: [CORNERS n_e] their w_ij.
+        u_mid: [n_e] normal speed that moves E, m/s.
+        change: [n_e] of the normal speed in the solve, m/s.
         lag: s.
         dt: [1] s.
-        loss: [n_e] J.
+        pull: [n_e] tension, N.
+        loss: [n_e] minus the work of the matrix' answer, J.
     """
     i = star.first + wp.tid()
     h = dt[0]
-    g = region[i]
-    n = normal[i]
-    own = u_mid[i] * n + tangential(frame[g], n)
-    total = float(0.0)
+    own = tension[region[i]]
+    force = wp.vec3()
+    answer = float(0.0)
     for s in range(star.start[i], star.stop[i]):
         j = star.index[s]
-        sigma = tension[g] - 0.5 * slope * (gamma[i] + gamma[j])
-        c = sigma * (2.0 - 0.5 * (cover[i] + cover[j])) * tie[s]
-        total += 0.5 * c * wp.length_sq(u_mid[j] * normal[j] + tangential(frame[g], normal[j]) - own)
-    loss[i] = h * (0.5 * h + lag) * total
+        c = (own - 0.5 * slope * (gamma[i] + gamma[j])) * (2.0 - 0.5 * (cover[i] + cover[j])) * tie[s]
+        then = predicted[j] - predicted[i]
+        force += c * (then + lag / h * (then - (x[j] - x[i])))
+        answer += h * (h + lag) * c * (change[j] - change[i])
+    pull[i] = force
+    loss[i] = -answer * u_mid[i]
+
+
+@wp.kernel
+def lose_contact_e(
+    area: wp.array(dtype=float),
+    mass: wp.array(dtype=float),
+    gamma: wp.array(dtype=float),
+    cover: wp.array(dtype=float),
+    before: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
+    added: wp.array(dtype=float),
+    damping: float,
+    tension: wp.array(dtype=float),
+    slope: float,
+    force: wp.array(dtype=wp.vec3),
+    pull: wp.array(dtype=wp.vec3),
+    foot: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+    change: wp.array(dtype=float),
+    star: Neighbors,
+    diag: wp.array(dtype=float),
+    rows: Neighbors,
+    pair: wp.array(dtype=float),
+    dt: wp.array(dtype=float),
+    # outputs
+    hold: wp.array(dtype=wp.vec3),
+    loss: wp.array(dtype=float),
+):
+    """Contact that moves the sheets of a foam; what they save as one film, less the work of the matrix' answer.
+
+    Args:
+        area: [n_e] m^2.
+        mass: [n_e] kg.
+        gamma: [n_e] relative surfactant concentration.
+        cover: [n_e] share of a sheet that is one film with another, in this step.
+        before: [n_e] that in the last one.
+        region: [n] region of each E.
+        added: [regions] kg/m^2.
+        damping: 1/s.
+        tension: [regions] sigma_0, N/m.
+        slope: R T Gamma_0, N/m.
+        force: [n_e] tension and contact, N.
+        pull: [n_e] tension, N.
+        foot: [n_e] menisci along their walls, N.
+        u_mid: [n_e] normal speed that moves E, m/s.
+        change: [n_e] of the normal speed in the solve, m/s.
+        star: neighbours across the cell's edges, which come first in the matrix' rows.
+        diag: [n_e] of the matrix, inertia and damping in it, kg.
+        rows: of the matrix.
+        pair: its coefficients, kg.
+        dt: [1] s.
+        hold: [n_e] contact and menisci, N.
+        loss: [n_e] J.
+    """
+    i = rows.first + wp.tid()
+    g = region[i]
+    inertia = (mass[i] + added[g] * area[i]) * (1.0 + dt[0] * damping)
+    answer = -(diag[i] - inertia) * change[i]
+    for k in range(rows.start[i] + star.stop[i] - star.start[i], rows.stop[i]):
+        answer -= pair[k] * (change[i] - change[rows.index[k]])
+    saved = (tension[g] - slope * gamma[i]) * area[i] * (cover[i] - before[i])
+    hold[i] = force[i] - pull[i] + foot[i]
+    loss[i] = saved - answer * u_mid[i]
+
+
+@wp.func
+def star_size(i: int, x: wp.array(dtype=wp.vec3), star: Neighbors):
+    """A third of the area of the star of E i, m^2, and the gradient of the volume, m^2, with E at x."""
+    p = x[i]
+    total = wp.vec3()
+    size = float(0.0)
+    first = star.start[i]
+    last = star.stop[i]
+    for k in range(first, last):
+        m = k + 1
+        if m == last:
+            m = first
+        twice = wp.cross(x[star.index[k]] - p, x[star.index[m]] - p)
+        total += twice
+        size += wp.length(twice)
+    return size / 6.0, total / 6.0
+
+
+@wp.kernel
+def lose_move_e(
+    x: wp.array(dtype=wp.vec3),
+    shifted: wp.array(dtype=wp.vec3),
+    moved: wp.array(dtype=wp.vec3),
+    gamma: wp.array(dtype=float),
+    cover: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
+    tension: wp.array(dtype=float),
+    slope: float,
+    star: Neighbors,
+    # outputs
+    evened: wp.array(dtype=float),
+    loss: wp.array(dtype=float),
+    swept: wp.array(dtype=float),
+):
+    """What stars have less of their energy as E are evened out and as they move, and the volume that they sweep. [n_e].
+
+    Args:
+        x: [n] at the start of the step, m.
+        shifted: [n] once they are evened out, m.
+        moved: [n] at its end, m.
+        gamma: [n_e] relative surfactant concentration.
+        cover: [n_e] share of a sheet that is one film with another.
+        region: [n] region of each E.
+        tension: [regions] sigma_0, N/m.
+        slope: R T Gamma_0, N/m.
+        star: neighbours across the cell's edges.
+        evened: [n_e] J.
+        loss: [n_e] J.
+        swept: [n_e] m^3.
+    """
+    i = star.first + wp.tid()
+    c = (tension[region[i]] - slope * gamma[i]) * (2.0 - cover[i])
+    size, _vector = star_size(i, x, star)
+    then, out = star_size(i, shifted, star)
+    last, beyond = star_size(i, moved, star)
+    evened[i] = c * (size - then)
+    loss[i] = c * (then - last)
+    swept[i] = 0.5 * wp.dot(out + beyond, moved[i] - shifted[i])
+
+
+@wp.kernel
+def book_moves_chunks(
+    shifted: wp.array(dtype=wp.vec3),
+    moved: wp.array(dtype=wp.vec3),
+    gas: wp.array2d(dtype=wp.float64),
+    pull: wp.array(dtype=wp.vec3),
+    hold: wp.array(dtype=wp.vec3),
+    evened: wp.array(dtype=float),
+    loss: wp.array(dtype=float),
+    swept: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    part: wp.array2d(dtype=wp.float64),
+):
+    """What the forces of a foam would do on the way of its E, added to STRETCH, CONTACT, LINES and SHIFTS.
+
+    What of that does not arrive along normals is passed on along lines.
+
+    Args:
+        shifted: [n] E once they are evened out, m.
+        moved: [n] at the end of the step, m.
+        gas: gas slots.
+        pull: [n_e] tension, N.
+        hold: [n_e] contact and menisci, N.
+        evened: [n_e] from `lose_move_e`, J.
+        loss: [n_e] the same.
+        swept: [n_e] the same, m^3.
+        first: see `part_range`.
+        part: parts.
+    """
+    c = wp.tid()
+    parts = part.shape[0]
+    g = part_region(c, first, parts)
+    start, stop = part_range(c, first, parts)
+    stretched = wp.float64(0.0)
+    held = wp.float64(0.0)
+    whole = wp.float64(0.0)
+    strained = wp.float64(0.0)
+    for i in range(start, stop):
+        way = moved[i] - shifted[i]
+        pulled = wp.float64(wp.dot(pull[i], way))
+        pressed = wp.float64(wp.dot(hold[i], way))
+        stretched += wp.float64(loss[i]) - pulled
+        held -= pressed
+        whole += pulled + pressed + wp.float64(swept[i]) * gas[g, GAUGE]
+        strained += wp.float64(evened[i])
+    part[c, STRETCH] = part[c, STRETCH] + stretched
+    part[c, CONTACT] = part[c, CONTACT] + held
+    part[c, LINES] = part[c, LINES] + whole
+    part[c, SHIFTS] = part[c, SHIFTS] + strained
 
 
 @wp.kernel
@@ -908,11 +973,10 @@ def book_foam_chunks(
     area: wp.array(dtype=float),
     normal: wp.array(dtype=wp.vec3),
     vector: wp.array(dtype=wp.vec3),
+    ahead: wp.array(dtype=float),
+    gas: wp.array2d(dtype=wp.float64),
     u_mid: wp.array(dtype=float),
     load: wp.array(dtype=float),
-    force: wp.array(dtype=wp.vec3),
-    foot: wp.array(dtype=wp.vec3),
-    ahead: wp.array(dtype=float),
     missing: wp.array(dtype=wp.vec3),
     added: wp.array(dtype=float),
     recoil: wp.array(dtype=wp.vec3),
@@ -923,18 +987,17 @@ def book_foam_chunks(
     # outputs
     part: wp.array2d(dtype=wp.float64),
 ):
-    """What foams do besides `book_forces_chunks`. Slots CONTACT, STRETCH, LINES and DEBT.
+    """What foams do besides `book_forces_chunks`. Slots CONTACT, STRETCH, LINES and DEBT; see `book_moves_chunks`.
 
     Args:
         mass: [n_e] kg.
         area: [n_e] m^2.
         normal: [n] unit normals.
         vector: [n_e] gradient of the volume, m^2.
+        ahead: [regions] predicted gauge pressure, Pa.
+        gas: gas slots: the pressure is that of the end.
         u_mid: [n_e] normal speed that moves E, m/s.
         load: [n_e] from `lines.gather_load_e`, N.
-        force: [n_e] tension and contact, N.
-        foot: [n_e] menisci along their walls, N.
-        ahead: [regions] predicted gauge pressure, Pa.
         missing: [regions] m/s^2.
         added: [regions] kg/m^2.
         recoil: [regions] m/s.
@@ -952,13 +1015,14 @@ def book_foam_chunks(
     pressed = wp.float64(0.0)
     passed = wp.float64(0.0)
     paid = wp.float64(0.0)
+    gauge = float(gas[g, GAUGE])
     for i in range(start, stop):
         n = normal[i]
         m = mass[i] + added[g] * area[i]
         stretched += wp.float64(tension[i])
         pressed += wp.float64(contact[i])
-        own = wp.dot(force[i] + foot[i] + ahead[g] * vector[i], n)
-        passed -= wp.float64(dt[0] * (load[i] - own + m * wp.dot(missing[g], n)) * u_mid[i])
+        gain = load[i] + m * wp.dot(missing[g], n) + (gauge - ahead[g]) * wp.dot(vector[i], n)
+        passed -= wp.float64(dt[0] * gain * u_mid[i])
         paid -= wp.float64(m * wp.dot(recoil[g], n) * u_mid[i])
     part[c, STRETCH] = stretched
     part[c, CONTACT] = pressed

@@ -76,7 +76,7 @@ class Redistribution:
         self._limit = film.spacing * min(SHIFT_LIMIT, SHIFT_SHARE * size)
         self.spread = film.zeros(film.regions, wp.vec3)
         self._part = film.parts(wp.vec4)
-        self._x, self._u = (film.zeros(film.n_e, wp.vec3) for _ in range(2))
+        self.shifted, self._u = (film.zeros(film.n_e, wp.vec3) for _ in range(2))
         self._u_mid = film.zeros(film.n_e)
         # the liquid of a film with L is theirs
         self._liquid = None if film.features.lagrangian else [film.zeros(film.n_e) for _ in range(2)]
@@ -105,11 +105,11 @@ class Redistribution:
                 *(self.solver.x, e.x, e.region, self.spread, e.u, u_mid, e.normal, rows, geometry.gradient, film.r),
                 *(strength, film.spacing, self._limit),
             ],
-            [self._x, self._u, self._u_mid],
+            [self.shifted, self._u, self._u_mid],
         )
         if self._liquid is not None:
             self._keep_liquid()
-        for array, new in ((e.x, self._x), (e.u, self._u), (u_mid, self._u_mid)):
+        for array, new in ((e.x, self.shifted), (e.u, self._u), (u_mid, self._u_mid)):
             copy(array, new, count=film.n_e)
 
     def _keep_liquid(self) -> None:
@@ -117,7 +117,7 @@ class Redistribution:
         film, e, geometry = self.film, self.state.e, self.geometry
         film.launch_e(
             kr.keep_liquid_e,
-            [e.x, self._x, geometry.area, geometry.weight, self.lists.ee.rows, film.n_e, e.mass, e.surfactant],
+            [e.x, self.shifted, geometry.area, geometry.weight, self.lists.ee.rows, film.n_e, e.mass, e.surfactant],
             self._liquid,
         )
         for array, new in zip((e.mass, e.surfactant), self._liquid, strict=True):

@@ -75,6 +75,7 @@ TERMS = (
     Term("membrane", LOSS, "scheme of the normal motion", ((kb.MEMBRANE, 1), (kb.BENDING, 1), (kb.PRESSING, 1))),
     Term("stretch", LOSS, "tension of foams, that of a little later", ((kb.STRETCH, 1),)),
     Term("contact", LOSS, "sheets that are stopped where they meet", ((kb.CONTACT, 1),)),
+    Term("closing", LOSS, "offsets of foams that close their volumes", ((kb.CLOSING, 1),)),
     Term("lines", LOSS, "force passed on along lines", ((kb.LINES, 1),)),
     Term("debt", LOSS, "momentum of foams given back", ((kb.DEBT, 1),)),
     Term("flow", LOSS, "scheme of the flow along the film", ((kb.FLOW, 1), (kb.SPREADING, 1))),
@@ -150,9 +151,10 @@ class Budget:
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
         self._falls = f.lagrangian and not f.moving and any(film.surroundings.gravity)
-        self._pressed, self._stretched, self._touched = (
-            (film.zeros(film.n_e) for _ in range(3)) if f.foam else 3 * (None,)
+        self._stretched, self._touched, self._swept, self._cover = (
+            (film.zeros(film.n_e) for _ in range(4)) if f.foam else 4 * (None,)
         )
+        self._pull, self._hold = (film.zeros(film.n_e, wp.vec3) for _ in range(2)) if f.foam else 2 * (None,)
         self._rim = stepper.rim if f.collects else None
         if self._rim is not None:
             self._taken, self._border = film.parts(vec7d), wp.clone(state.border)
@@ -162,16 +164,14 @@ class Budget:
         film, e, s = self.film, self.state.e, self._stages
         cover = None
         if film.features.foam:
-            m, g = s.membrane, s.geometry
-            inputs = [e.x, e.normal, g.share, e.region, m.push, s.lists.eo.rows, m.contact, self._asked]
-            film.launch_e(kb.press_energy_e, inputs, [self._pressed])
-            cover = m.cover
+            cover = s.membrane.cover
+            copy(self._cover, cover)
         film.launch_parts(
             kb.open_step_chunks,
             [
                 *(e.mass, e.surfactant, s.geometry.area, s.geometry.kappa, s.fields.gamma),
                 s.transfer.claim if s.transfer else None,
-                *(cover, self._pressed, self.state.motion, e.u, e.normal),
+                *(cover, self.state.motion, e.u, e.normal),
                 *(film.tension, film.slope, film.material.rt, self._air(), self.state.gas, film.surroundings.pressure),
                 *(*self._carried(), int(film.features.closed), film.first),
                 self._asked,
@@ -246,26 +246,25 @@ class Budget:
     def _book_foam(self) -> None:
         film, e, s, g = self.film, self.state.e, self._stages, self._stages.geometry
         m, dt = s.membrane, s.dt.array
+        change, matrix = m.response.x, m.response.operator
+        film.launch_e(
+            kb.lose_tension_e,
+            [e.x, m.predicted, *self._tensed(), g.tie, m.u_mid, change, m.contact.lag, dt],
+            [self._pull, self._stretched],
+        )
         film.launch_e(
             kb.lose_contact_e,
             [
-                *(e.x, m.predicted, e.normal, g.share, s.fields.eta, film.material.density, e.region, m.added, m.push),
-                *(m.free, m.response.x, m.u_mid, m.frame, s.lists.eo.rows, m.contact, dt),
+                *(g.area, e.mass, s.fields.gamma, m.cover, self._cover, e.region, m.added),
+                *(film.surroundings.damping, film.tension, film.slope, m.force, self._pull, m.foot),
+                *(m.u_mid, change, g.star, matrix.diag, matrix.rows, matrix.pair, dt),
             ],
-            [self._touched],
-        )
-        film.launch_e(
-            kb.lose_tension_e,
-            [
-                *(e.normal, s.fields.gamma, m.cover, e.region, m.u_mid, m.frame, film.tension, film.slope),
-                *(g.star, g.tie, m.contact.lag, dt),
-            ],
-            [self._stretched],
+            [self._hold, self._touched],
         )
         film.launch_parts(
             kb.book_foam_chunks,
             [
-                *(e.mass, g.area, e.normal, g.vector, m.u_mid, m.load, m.force, m.foot, m.ahead, m.missing, m.added),
+                *(e.mass, g.area, e.normal, g.vector, m.ahead, self.state.gas, m.u_mid, m.load, m.missing, m.added),
                 *(m.recoil, self._stretched, self._touched, film.first, dt),
             ],
             [self.part],
@@ -275,6 +274,11 @@ class Budget:
             [m.start, self.state.motion, m.frame, m.recoil, m.weight, self.state.gas, m.added, *self._carried()],
             [self.part],
         )
+
+    def _tensed(self) -> list:
+        """What tension in a foam depends on besides places."""
+        film, e, s, m = self.film, self.state.e, self._stages, self._stages.membrane
+        return [s.fields.gamma, m.cover, e.region, film.tension, film.slope, s.geometry.star]
 
     def _lose_membrane(self) -> None:
         film, e, s = self.film, self.state.e, self._stages
@@ -308,6 +312,26 @@ class Budget:
         film.launch_parts(
             kb.book_shifts_chunks,
             [e.mass, s.geometry.area, e.normal, e.u, self._air(), film.first],
+            [self.part],
+        )
+        if film.features.foam:
+            self._book_moves()
+
+    def _book_moves(self) -> None:
+        """Book what the forces of a foam would do on the way of its E."""
+        film, e, advance = self.film, self.state.e, self._stages.e_advance
+        shifted = advance.redistribution.shifted if advance.redistribution else advance.x_old
+        film.launch_e(
+            kb.lose_move_e,
+            [advance.x_old, shifted, e.x, *self._tensed()],
+            [self._stretched, self._touched, self._swept],
+        )
+        film.launch_parts(
+            kb.book_moves_chunks,
+            [
+                *(shifted, e.x, self.state.gas, self._pull, self._hold),
+                *(self._stretched, self._touched, self._swept, film.first),
+            ],
             [self.part],
         )
 
@@ -385,7 +409,7 @@ class Budget:
     def pending(self) -> dict[str, float]:
         """What the last step has done, which is not among the flows yet, J (reads back)."""
         step = self.part.numpy().sum(axis=0)
-        step[[kb.STARTED, kb.ENDED]] = 0.0  # counted, or on the way
+        step[[kb.STARTED, kb.ENDED, kb.CLOSING]] = 0.0  # counted, or on the way
         return _sums(step)
 
 

@@ -286,6 +286,18 @@ def test_vortices_in_long_steps_add_up(scene, frames, keys):
     assert ledger.share < 0.002
 
 
+def test_bubbles_that_come_to_share_films_add_up():
+    """What four bubbles give up as they meet is found again; lines and contact alone do as much work as moves."""
+    script = load_scene("four_bubbles")
+    simulation = Simulation(script.build(script.parameters.values({"e_count": 800, "l_per_e": 4})))
+    for _ in range(12):
+        simulation.advance_frame()
+    ledger = simulation.ledger
+    gone = ledger.start["surface"] - ledger.stores["surface"]
+    assert gone > 0.9 * ledger.moved and ledger.flows["contact"] > 0.5 * ledger.moved
+    assert ledger.share < 0.05
+
+
 def test_every_scene_has_a_case():
     """What docs/energy.md has a row of."""
     assert {case.scene for case in CASES} == set(scene_names())
