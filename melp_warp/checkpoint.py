@@ -207,7 +207,7 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
     try:
         course = check_course(header["course"], scene)
         features = Features.of(scene, course.holed)
-        film = check_film(header["film"], scene.shape.area, scene.e_count, features.closed and not features.foam)
+        film = check_film(header["film"], scene, features.closed and not features.foam)
         seen = check_seen(header["seen"])
         needed = {name for name, (*_, when) in shapes.items() if when is None or when(features)}
         if not course.labels:

@@ -57,6 +57,8 @@ _OF_FOAMS = {
 }
 _OF_HOLES = {
     "puncture_time": Key("s", "time at which the film is punctured (auto: never)", 0.0, 1e6, auto=True, spoken="ms"),
+    "growth": positive("-", "radius to which the bubble is blown up, over that at the start", 10.0),
+    "growth_time": positive("s", "time in which it is blown up", 1e6, spoken="ms"),
     "hole": positive("m", "radius of a hole at the start", 10.0, spoken="mm"),
 }
 _OF_FIELDS = {
@@ -89,7 +91,7 @@ _FOAM_NUMERICS = ("border", "exchange")
 _SINGLE_FILM_NUMERICS = ("layers", "scheme", "curvature", "gradient")
 _NUMERICS = tuple(name for name in keys_of(Numerics) if name not in _FOAM_NUMERICS)
 _SURROUNDINGS = ("pressure", "air", "air_density", "air_drag", "drag")
-_RUN = tuple(keys_of(Scene))
+_RUN = tuple(name for name in keys_of(Scene) if name != "opening")
 _BURSTING = tuple(keys_of(Bursting))
 
 FOAM: Mapping[str, Value] = MappingProxyType(
@@ -166,7 +168,7 @@ class Values:
             name: the scene's name.
             shape: the film's geometry.
             punctures: holes that are made in it.
-            **initial: the initial fields `thickness`, `concentration` and `velocity` of `Scene`, and its `waves`.
+            **initial: the initial fields `thickness`, `concentration` and `velocity` of `Scene`, its `gas` and `waves`.
 
         Returns:
             The scene with this object's material, surroundings, numerics, counts and times.
@@ -181,7 +183,7 @@ class Values:
             surroundings=self.surroundings,
             numerics=self.numerics,
             bursting=self.bursting(punctures),
-            **{key: self._values[key] for key in _RUN},
+            **{key: self._values[key] for key in (*_RUN, "opening") if key in self._values},
             **initial,
         )
 

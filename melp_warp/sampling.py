@@ -351,7 +351,7 @@ def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tup
     """
     state = state_of(scene, stored.arrays, len(stored.labels), film.device, holed=True)
     state.ids = stored.ids
-    stays = ("limit", "cap", "speed", "reach", "shown", "punctured", "rest", "run")
+    stays = ("limit", "cap", "speed", "reach", "shown", "punctured", "gas", "rest", "run")
     kept = {name: getattr(before.course, name) for name in stays}
     state.course = Course(**kept, crossed=state.time, mixed=state.time, labels=stored.labels, holed=True)
     gas = state.gas.numpy()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -46,6 +48,9 @@ class Scene:
             than five E spacings a wave are refused.
         numerics: discretisation choices.
         bursting: punctures, and what becomes of rims.
+        gas: (time in s, amount over that at the start) of a closed single film, times rising; in between linear. It is
+            blown up or let out. Empty for the amount that it starts with.
+        opening: area of a hole that is held open and through which gas leaves, m^2.
         slow_motion: how many times slower than usual time runs from frame to frame, from `slow_from` to `slow_until`.
         dt: None for a step set by `numerics.cfl`.
         budget: whether the energy budget is kept (`melp_warp.budget`); it changes nothing else.
@@ -72,6 +77,11 @@ class Scene:
         ),
         None,
     )
+    gas: Sequence[tuple[float, float]] = ()
+    opening: float = quantity(
+        at_least_zero("m^2", "area of an opening through which gas leaves (0: none)", 1.0, spoken="mm^2"),
+        0.0,
+    )
     slow_motion: float = quantity(
         Key("-", "factor by which frames are shorter in slow motion (1: none)", 1.0, 1e6), 1.0
     )
@@ -91,6 +101,7 @@ class Scene:
             object.__setattr__(self, "l_per_e", 0)
         if self.bursting.possible:
             self._check_bursting()
+        self._check_gas()
         ends = self.slow_until is None or self.slow_until >= self.slow_from
         require(ends, "slow_until", self.slow_until, f"at least slow_from, {self.slow_from:g} s")
         closed = self.shape.closed
@@ -100,6 +111,23 @@ class Scene:
         else:
             damping = self.surroundings.damping
             require(damping == 0.0, "damping", damping, "0 for a single film: it is of foams")
+
+    def _check_gas(self) -> None:
+        """Refuse gas that no film holds, or that does not say when how much there is."""
+        object.__setattr__(self, "gas", tuple(tuple(map(float, frame)) for frame in self.gas))
+        single = self.shape.closed and not isinstance(self.shape, Cluster)
+        require(single or not self.gas, "gas", self.gas, "none but for a closed single film")
+        require(single or self.opening == 0.0, "opening", self.opening, "0 but for a closed single film")
+        require(not (self.gas and self.opening), "opening", self.opening, "0 where gas is given")
+        times, amounts = ([frame[k] for frame in self.gas] for k in (0, 1))
+        right = all(a < b for a, b in itertools.pairwise(times)) and all(map(math.isfinite, times))
+        right = right and all(0.0 < a < 1e6 for a in amounts) and (not times or times[0] >= 0.0)
+        require(right, "gas", self.gas, "times that rise from 0 s and amounts above 0")
+
+    @property
+    def breathes(self) -> bool:
+        """Whether gas comes or goes."""
+        return bool(self.gas) or self.opening > 0.0
 
     def film_time(self, frame: float) -> float:
         """Time at the end of a frame (0: the start), s; frames are shorter in slow motion."""

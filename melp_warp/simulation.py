@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp import checkpoint
+from melp_warp.breath import Breath
 from melp_warp.budget import Ledger, Reading
 from melp_warp.burst import Burst
 from melp_warp.cluster import Cluster
@@ -103,6 +104,7 @@ class Simulation:
         self._last_dt, self._substeps = 0.0, 0
         self.events = Events(scene.shape) if isinstance(scene.shape, Cluster) else None
         self.burst = Burst(self) if scene.bursting.possible else None
+        self.breath = Breath(self) if scene.breathes else None
         try:
             if checkpoint is not None:
                 self.load_checkpoint(checkpoint, changed)
@@ -123,6 +125,7 @@ class Simulation:
         if self.events is not None:
             self.events.begin(course)
         course.reach, course.speed = self._longest_way(), self._fastest_wave()
+        course.gas = float(self.state.gas.numpy()[0, 2]) if self.breath is not None else 0.0
         self._look_at_shape()
         if features.budget:
             course.ledger = Ledger()
@@ -200,6 +203,8 @@ class Simulation:
     def step(self, dt: float) -> None:
         """One step of dt seconds."""
         began = time.perf_counter()
+        if self.breath is not None and self.film.features.closed:
+            self.breath.before_step(dt)
         self.stepper.step(dt)
         if self.burst is not None:
             self.burst.after_step(dt)
@@ -234,6 +239,8 @@ class Simulation:
         self.stepper.settle()
         self._remark()
         self._recentre()
+        if self.breath is not None and self.film.features.closed:
+            self.breath.respace()
         self._keep()
 
     def _weighed(self) -> Reading:
@@ -267,14 +274,22 @@ class Simulation:
         if not moved:
             self.stepper = make_stepper(self.film, state)
             return
-        kept = [(array, wp.clone(array)) for array in (state.e.normal, state.gas)]
-        state.forget()
-        self.stepper = make_stepper(self.film, state)
+        self.remake(self.film)
         if not self.film.features.moving and self.has_l:
             self.stepper.geometry.set_area(state.memory.area)  # found from the L at the start
+        self._keep()
+
+    def remake(self, film: Film) -> None:
+        """Go on with the present state as another film has it: with lists and fits of where particles are now."""
+        state = self.state
+        kept = [(array, wp.clone(array)) for array in (state.e.normal, state.gas)]
+        state.forget()
+        wall = self.stepper.wall
+        self.stepper = make_stepper(film, state)
+        self.stepper.wall = wall
         for array, values in kept:
             wp.copy(array, values)
-        self._keep()
+        state.course.reach = self._longest_way()
 
     def conclude(self) -> None:
         """Note what only the end of a run tells: a rest of its energy budget that is too large."""

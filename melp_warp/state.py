@@ -238,6 +238,7 @@ class Course:
         unborn: the scene's numbers of the bubbles to come.
         punctured: number of the scene's punctures that have been made.
         holed: whether the film has holes, or has burst.
+        gas: amount of gas that a closed film started with, n R T, J.
         run: way of the fastest rim since film behind rims was last taken away, m.
         rest: liquid that a frame has collected where a rim came to it, and that left with drops out of sight, kg.
         shown: [3] where exported positions are measured from, the same for the whole run, m.
@@ -262,6 +263,7 @@ class Course:
     unborn: list[int] = field(default_factory=list)
     punctured: int = 0
     holed: bool = False
+    gas: float = 0.0
     run: float = 0.0
     rest: float = 0.0
     shown: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -437,7 +439,7 @@ class State:
                 name: getattr(was, name)
                 for name in (
                     *("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger"),
-                    *("punctured", "holed", "run", "rest"),
+                    *("punctured", "holed", "gas", "run", "rest"),
                 )
             },
             crossed=self.time,

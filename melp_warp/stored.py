@@ -194,17 +194,24 @@ def _check_signed(name: str, value: object) -> None:
     require(plain, name, value, f"a number up to {LARGEST:g}")
 
 
-def check_film(stored: object, area: float, e_count: int, closed: bool) -> dict[str, float]:
-    """Spacing, radius and room of a film of `area` (m^2) with about `e_count` E."""
+def check_film(stored: object, scene: Scene, closed: bool) -> dict[str, float]:
+    """Spacing, radius and room of a film; one that breathes may have any size that it takes."""
+    area, e_count = scene.shape.area, scene.e_count
+    swell = max([1.0, *(max(a, 1.0 / a) for _, a in scene.gas)]) ** (1.0 / 3.0) if not scene.opening else 1e3
     names = {"spacing", "radius", "room"}
     require(isinstance(stored, dict) and set(stored) == names, "film", stored, "spacing, radius and room")
     for name, value in stored.items():
         _check_number(name, value, infinite=name == "radius" and not closed, most=LARGEST_SIZE)
-    near = 0.5 < stored["spacing"] / math.sqrt(area / e_count) < 2.0
+    near = 0.5 / swell < stored["spacing"] / math.sqrt(area / e_count) < 2.0 * swell
     require(near, "spacing", stored["spacing"], "that of the scene's particles, m")
     require(1.0 <= stored["room"] <= 100.0, "room", stored["room"], "from 1 to 100")
     size = math.sqrt(area / (4.0 * math.pi))
-    require(not closed or 0.1 < stored["radius"] / size < 10.0, "radius", stored["radius"], "that of the film, m")
+    require(
+        not closed or 0.1 / swell < stored["radius"] / size < 10.0 * swell,
+        "radius",
+        stored["radius"],
+        "that of the film, m",
+    )
     return dict(stored)
 
 

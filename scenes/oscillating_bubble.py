@@ -21,6 +21,7 @@ PARAMETERS = declare(
     surfactant=0.0,
     air="none",
     scheme="trapezoid",
+    opening=0.0,
     e_count=2000,
     l_per_e=0,
     frames=100,

@@ -503,7 +503,7 @@ def test_scenes_lists_all(capsys):
     listed = capsys.readouterr().out.splitlines()
     films = ["drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices"]
     films += ["deforming_rectangle_2m", "giant_bubble_vortices", "leapfrog", "stirred_disc", "turbulent_film"]
-    films += ["burst_pair", "film_burst"]
+    films += ["burst_pair", "film_burst", "inflation"]
     foams = ["cluster", "double_bubble", "foam_mountain", "four_bubbles", "quadruple_bubble"]
     foams += ["size_ratio", "triple_bubble"]
     assert [line.split()[0] for line in listed] == sorted(films + foams)

@@ -25,6 +25,7 @@ SMALL = {
     "drainage": ["e_count=300", "l_per_e=4"],
     "equilibrium": ["e_count=300", "l_per_e=4"],
     "giant_bubble": ["e_count=400", "l_per_e=4"],
+    "inflation": ["e_count=300", "l_per_e=2"],
     "film_burst": ["e_count=400", "l_per_e=4", "slow_motion=200"],
     "burst_pair": ["e_count=400", "l_per_e=4", "slow_motion=200"],
     "oscillating_bubble": ["e_count=400"],

@@ -40,6 +40,7 @@ OWN = {
     "drainage": ["width", "height", "tilt", "noise"],
     "equilibrium": ["radius", "noise"],
     "burst_pair": ["width", "height", "separation", "hole", "puncture_time", "breakup", "slow_motion"],
+    "inflation": ["radius", "growth", "growth_time", "noise"],
     "film_burst": ["width", "hole", "puncture_time", "breakup", "slow_motion", "rupture_thickness"],
     "giant_bubble": ["radius", "noise", "puncture_time"],
     "oscillating_bubble": ["radius", "mode", "amplitude"],
