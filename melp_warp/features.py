@@ -29,7 +29,8 @@ class Features:
         circulation: L carry circulation.
         mixes: L exchange what they hold where the flow shears them.
         explicit: the normal motion is stepped by the present force over the mass.
-        budget: the energy budget is kept; a single layer has none, and neither has a film that may burst.
+        budget: the energy budget is kept; a single layer has none, nor has a film that may burst or whose gas
+            comes and goes.
         bursts: the film may get holes.
         holed: it has got them: what it enclosed, and the air around it, count no more.
     """
@@ -81,7 +82,7 @@ class Features:
             explicit=single or (scene.numerics.scheme == "explicit" and not foam),
             air=air,
             dragged=air and closed and scene.surroundings.air_drag > 0.0,
-            budget=scene.budget and not single and not scene.bursting.possible,
+            budget=scene.budget and not (single or scene.bursting.possible or scene.breathes),
             bursts=scene.bursting.possible,
             holed=holed,
         )

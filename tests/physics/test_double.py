@@ -34,6 +34,7 @@ def pair(folder, device):
     return runs.all_runs(), dict(np.load(folder / "found.npz"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", runs.RUNS)
 def test_precisions_agree_to_rounding(pair, name):
     """Positions round to eps of the film's size; the forces take them twice over the spacing, so velocities lose more.
@@ -50,6 +51,7 @@ def test_precisions_agree_to_rounding(pair, name):
     assert single["pressure"] == pytest.approx(exact["pressure"], rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", runs.RUNS)
 def test_transfers_conserve_to_the_rounding_of_either(pair, name):
     """Mass, surfactant and momentum that E have from L: to eps in float32, nine digits better in float64."""
@@ -60,11 +62,13 @@ def test_transfers_conserve_to_the_rounding_of_either(pair, name):
     assert max(exact) < 1e-14
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in runs.RUNS if name != "drainage"])
 def test_gas_law_is_of_float64_in_both(pair, name):
     assert max(float(found[f"{name}.gas"]) for found in pair) < 1e-14
 
 
+@pytest.mark.slow
 def test_surface_holds_the_volume_of_the_gas_law(pair):
     """Found anew from a bubble at rest it is off by the rounding of positions; in float64 by the scheme alone."""
     single, exact = (float(found["rest.volume"]) for found in pair)
@@ -72,6 +76,7 @@ def test_surface_holds_the_volume_of_the_gas_law(pair):
     assert exact < 0.01 * single
 
 
+@pytest.mark.slow
 def test_stages_are_those_of_an_independent_float64(pair):
     """Curvature and gathered mass against `melp_warp.precision`, which is NumPy: the C++ rows are double throughout."""
     for key in ("curvature", "gathered"):
@@ -80,6 +85,7 @@ def test_stages_are_those_of_an_independent_float64(pair):
         assert exact < 1e-14
 
 
+@pytest.mark.slow
 def test_checkpoint_is_read_in_the_other_precision(folder, device):
     simulation = Simulation(runs.scene("giant_bubble"))
     simulation.load_checkpoint(folder / "checkpoint.npz")
@@ -88,6 +94,7 @@ def test_checkpoint_is_read_in_the_other_precision(folder, device):
         assert np.array_equal(simulation.state.e.x.numpy(), stored["e.x"].astype(np.float32))
 
 
+@pytest.mark.slow
 def test_cache_is_float32_and_says_where_it_is_from(folder):
     assert not check_cache(folder / "cache")
     assert "+float64" in (folder / "cache" / "film.usda").read_text()

@@ -107,6 +107,8 @@ SCENES = {
 }
 
 
+LONG, SLOW = ("floor", "vortices in a foam"), pytest.mark.slow
+
 BEFORE, AFTER = 2, 2
 """Frames before and after what is done between."""
 
@@ -150,7 +152,7 @@ def fail_at(simulation, count, monkeypatch):
     monkeypatch.setattr(simulation, "step", stumble)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW if name in LONG else ()) for name in SCENES])
 def test_same_bits_whatever_is_done_between(name, tmp_path, monkeypatch):
     """Plain; done again in the middle of a frame; looked at and written after each frame; loaded and rebuilt twice."""
     scene, file = SCENES[name](), tmp_path / "c.npz"
