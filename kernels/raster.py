@@ -293,52 +293,17 @@ def tiles_of(view: View, look: Look, seen: Surface, lines: Lines, i: int) -> wp.
 
 
 @wp.kernel
-def count_seen(
+def box_seen(
     view: View,
     look: Look,
     seen: Surface,
     lines: Lines,
     # outputs
-    counts: wp.array[wp.int32],
+    boxes: wp.array[wp.vec4i],
 ):
-    """Number of tiles that each triangle and line touches, [faces + lines]."""
+    """Tiles that each triangle and line touches, [faces + lines] as `tiles_in`."""
     i = wp.tid()
-    box = tiles_of(view, look, seen, lines, i)
-    counts[i] = (box[1] - box[0] + 1) * (box[3] - box[2] + 1)
-
-
-@wp.kernel
-def list_seen(
-    view: View,
-    look: Look,
-    seen: Surface,
-    lines: Lines,
-    ends: wp.array[wp.int32],
-    counts: wp.array[wp.int32],
-    # outputs
-    tiles: wp.array[wp.int32],
-    members: wp.array[wp.int32],
-):
-    """Pairs (tile, member) of each triangle and line, in its own range of the list.
-
-    Args:
-        view: camera.
-        look: how it is shown.
-        seen: meshes.
-        lines: lines.
-        ends: [faces + lines] inclusive running sum of `counts`.
-        counts: [faces + lines] from `count_seen`.
-        tiles: [pairs] tile of each pair.
-        members: [pairs] triangle, or faces + line, of each pair.
-    """
-    i = wp.tid()
-    box = tiles_of(view, look, seen, lines, i)
-    k = ends[i] - counts[i]
-    for row in range(box[2], box[3] + 1):
-        for column in range(box[0], box[1] + 1):
-            tiles[k] = row * view.tile_columns + column
-            members[k] = i
-            k += 1
+    boxes[i] = tiles_of(view, look, seen, lines, i)
 
 
 # --- rays ------------------------------------------------------------------------------------------------------------
@@ -436,75 +401,30 @@ def line_light(
     return 0.42 * mirrored + wp.vec3(0.16, 0.17, 0.18)
 
 
-@wp.kernel
-def draw_surfaces(
+@wp.func
+def films_along(
     view: View,
     look: Look,
     seen: Surface,
     lines: Lines,
-    begins: wp.array[wp.int32],
-    ends: wp.array[wp.int32],
     members: wp.array[wp.int32],
+    begin: int,
+    end: int,
     table: wp.array2d[wp.vec3],
     light: wp.array2d[wp.vec3],
-    floor_point: wp.array[wp.vec3],
-    floor_normal: wp.array[wp.vec3],
-    first: int,
-    # outputs
-    image: wp.array2d[wp.vec3],
-):
-    """Radiance of each sample.
-
-    A film of reflectance R mirrors the light and lets (1 - R)^2 of what lies behind it through: light crosses it on the
-    way in and on the way out. Two sheets of different regions, back to back and nearer than they touch, are one film,
-    as thick as both; where they part the two pictures blend.
-
-    Args:
-        view: camera.
-        look: how it is shown.
-        seen: meshes.
-        lines: lines.
-        begins: [tiles] first pair of each tile.
-        ends: [tiles] one past the last pair.
-        members: [pairs] triangles and lines of each tile.
-        table: film colours.
-        light: light from all directions.
-        floor_point: [floors] m, from the target.
-        floor_normal: [floors] into the room, world axes.
-        first: sample of thread 0; samples are counted tile by tile.
-        image: [rows, columns] out.
-    """
-    i = first + wp.tid()
-    tile = i / (TILE * TILE)
-    column = (tile % view.tile_columns) * TILE + i % TILE
-    row = (tile / view.tile_columns) * TILE + (i / TILE) % TILE
-    if column >= view.columns or row >= view.rows:
-        return
-    p = sample_point(column, row, view.samples)
-    place = sample_place(view, column, row)
-    ray = wp.normalize(wp.vec3(view.slope_x * place[0], view.slope_y * place[1], -1.0))
-    behind = ground_light(view, look, light, place, ray)
-    farthest = float(1.0e30)
-    world = ray[0] * view.right + ray[1] * view.up + ray[2] * view.back
-    for k in range(look.floors):
-        slope = wp.dot(world, floor_normal[k])
-        if slope < -1.0e-4:
-            t = wp.dot(floor_point[k] - view.eye, floor_normal[k]) / slope
-            if t > 0.0 and -t * ray[2] < farthest:
-                farthest = -t * ray[2]
-                behind = floor_light(view, look, light, ray, floor_normal[k], view.eye + t * world, behind)
-
-    if begins[tile] == ends[tile]:
-        image[row, column] = behind
-        return
-
+    p: wp.vec2,
+    ray: wp.vec3,
+    farthest: float,
+    behind: wp.vec3,
+) -> wp.vec3:
+    """Radiance along a ray: of films and lines of its tile, `begin` to `end` of the list, and of what is `behind`."""
     used = wp.int32(0)
     depth = hit_floats()
     first_part = hit_floats()
     second_part = hit_floats()
     member = hit_ints()
     faces = seen.face.shape[0]
-    for m in range(begins[tile], ends[tile]):
+    for m in range(begin, end):
         k = members[m]
         z = float(0.0)
         u = float(0.0)
@@ -557,9 +477,9 @@ def draw_surfaces(
             member[k] >= faces
         ):  # the same border is told by each of the regions that meet there: the one that covers most
             best = k
-            end = depth[k] + 6.0 * line_radius(look, lines, member[k] - faces, 1.0 / depth[k]) * depth[k] / look.scale
+            reach = depth[k] + 6.0 * line_radius(look, lines, member[k] - faces, 1.0 / depth[k]) * depth[k] / look.scale
             for m in range(k + 1, used):
-                if member[m] >= faces and depth[m] < end:
+                if member[m] >= faces and depth[m] < reach:
                     if first_part[m] < first_part[best]:
                         member[best] = -1
                         best = m
@@ -607,7 +527,75 @@ def draw_surfaces(
                         break
             color += look.gain * wp.cw_mul(through, shine)
             through = wp.cw_mul(through, passed)
-    image[row, column] = color + wp.cw_mul(through, behind)
+    return color + wp.cw_mul(through, behind)
+
+
+@wp.kernel
+def draw_surfaces(
+    view: View,
+    look: Look,
+    seen: Surface,
+    lines: Lines,
+    begins: wp.array[wp.int32],
+    ends: wp.array[wp.int32],
+    members: wp.array[wp.int32],
+    table: wp.array2d[wp.vec3],
+    light: wp.array2d[wp.vec3],
+    floor_point: wp.array[wp.vec3],
+    floor_normal: wp.array[wp.vec3],
+    first: int,
+    # outputs
+    image: wp.array2d[wp.vec3],
+):
+    """Radiance of each sample.
+
+    A film of reflectance R mirrors the light and lets (1 - R)^2 of what lies behind it through: light crosses it on the
+    way in and on the way out. Two sheets of different regions, back to back and nearer than they touch, are one film,
+    as thick as both; where they part the two pictures blend.
+
+    Args:
+        view: camera.
+        look: how it is shown.
+        seen: meshes.
+        lines: lines.
+        begins: [tiles] first pair of each tile.
+        ends: [tiles] one past the last pair.
+        members: [pairs] triangles and lines of each tile.
+        table: film colours.
+        light: light from all directions.
+        floor_point: [floors] m, from the target.
+        floor_normal: [floors] into the room, world axes.
+        first: sample of thread 0; samples are counted tile by tile.
+        image: [rows, columns] out.
+    """
+    i = first + wp.tid()
+    tile = i / (TILE * TILE)
+    column = (tile % view.tile_columns) * TILE + i % TILE
+    row = (tile / view.tile_columns) * TILE + (i / TILE) % TILE
+    if column >= view.columns or row >= view.rows:
+        return
+    place = sample_place(view, column, row)
+    begin = begins[tile]
+    end = ends[tile]
+    if begin == end and look.floors == 0 and look.ground != AROUND:
+        image[row, column] = ground_light(view, look, light, place, wp.vec3(0.0, 0.0, -1.0))
+        return
+    ray = wp.normalize(wp.vec3(view.slope_x * place[0], view.slope_y * place[1], -1.0))
+    behind = ground_light(view, look, light, place, ray)
+    farthest = float(1.0e30)
+    world = ray[0] * view.right + ray[1] * view.up + ray[2] * view.back
+    for k in range(look.floors):
+        slope = wp.dot(world, floor_normal[k])
+        if slope < -1.0e-4:
+            t = wp.dot(floor_point[k] - view.eye, floor_normal[k]) / slope
+            if t > 0.0 and -t * ray[2] < farthest:
+                farthest = -t * ray[2]
+                behind = floor_light(view, look, light, ray, floor_normal[k], view.eye + t * world, behind)
+
+    if begin < end:
+        p = sample_point(column, row, view.samples)
+        behind = films_along(view, look, seen, lines, members, begin, end, table, light, p, ray, farthest, behind)
+    image[row, column] = behind
 
 
 # --- picture ---------------------------------------------------------------------------------------------------------
@@ -615,42 +603,48 @@ def draw_surfaces(
 
 @wp.kernel
 def respond(
-    samples: wp.array2d[wp.vec3],
     plain: bool,
     first: int,
     # outputs
-    response: wp.array2d[wp.vec3],
-    over: wp.array2d[wp.vec3],
+    samples: wp.array2d[wp.vec3],
 ):
-    """What film makes of the radiance of each sample, and what exceeds 1, at most 4; cut at 1 where it is `plain`."""
+    """What film makes of the radiance of each sample, in its place; cut at 1 where it is `plain`."""
     row = (first + wp.tid()) / samples.shape[1]
     column = (first + wp.tid()) % samples.shape[1]
     color = into_gamut(samples[row, column])
-    one = wp.vec3(1.0, 1.0, 1.0)
     if plain:
-        response[row, column] = wp.min(color, one)
+        samples[row, column] = wp.min(color, wp.vec3(1.0, 1.0, 1.0))
     else:
-        response[row, column] = film_response(color)
-    over[row, column] = wp.min(wp.max(color - one, wp.vec3(0.0, 0.0, 0.0)), 4.0 * one)
+        samples[row, column] = film_response(color)
 
 
 @wp.kernel
-def average_blocks(
+def average_glare(
     samples: wp.array2d[wp.vec3],
     size: int,
     first: int,
     # outputs
     means: wp.array2d[wp.vec3],
 ):
-    """Mean of each block of `size` x `size` samples, [rows, columns]; `first` is the block of thread 0."""
+    """Mean of what exceeds 1, at most 4, in each block of `size` x `size` samples, [rows, columns].
+
+    Args:
+        samples: radiance.
+        size: samples along a block's side.
+        first: block of thread 0.
+        means: [rows, columns] of blocks.
+    """
     row = (first + wp.tid()) / means.shape[1]
     column = (first + wp.tid()) % means.shape[1]
+    one = wp.vec3(1.0, 1.0, 1.0)
     sum = wp.vec3(0.0, 0.0, 0.0)
     r_end = wp.min((row + 1) * size, samples.shape[0])
     c_end = wp.min((column + 1) * size, samples.shape[1])
     for r in range(row * size, r_end):
         for c in range(column * size, c_end):
-            sum += samples[r, c]
+            if wp.max(samples[r, c]) > 1.0:
+                over = into_gamut(samples[r, c]) - one
+                sum += wp.min(wp.max(over, wp.vec3(0.0, 0.0, 0.0)), 4.0 * one)
     means[row, column] = sum / float((r_end - row * size) * (c_end - column * size))
 
 

@@ -270,68 +270,15 @@ def tile_box(view: View, s: Splat) -> wp.vec4i:
 
 
 @wp.kernel
-def count_tiles(
+def box_splats(
     view: View,
     splats: wp.array[Splat],
     # outputs
-    counts: wp.array[wp.int32],
+    boxes: wp.array[wp.vec4i],
 ):
-    """Number of tiles that each splat touches, [n]."""
+    """Tiles that each splat touches, [n] as `tile_box`."""
     i = wp.tid()
-    box = tile_box(view, splats[i])
-    counts[i] = (box[1] - box[0] + 1) * (box[3] - box[2] + 1)
-
-
-@wp.kernel
-def list_tiles(
-    view: View,
-    splats: wp.array[Splat],
-    ends: wp.array[wp.int32],
-    counts: wp.array[wp.int32],
-    # outputs
-    tiles: wp.array[wp.int32],
-    members: wp.array[wp.int32],
-):
-    """Pairs (tile, splat) of each splat, in its own range of the list.
-
-    Args:
-        view: camera.
-        splats: [n].
-        ends: [n] inclusive running sum of `counts`.
-        counts: [n] from `count_tiles`.
-        tiles: [pairs] tile of each pair.
-        members: [pairs] splat of each pair.
-    """
-    i = wp.tid()
-    box = tile_box(view, splats[i])
-    k = ends[i] - counts[i]
-    for row in range(box[2], box[3] + 1):
-        for column in range(box[0], box[1] + 1):
-            tiles[k] = row * view.tile_columns + column
-            members[k] = i
-            k += 1
-
-
-@wp.kernel
-def find_tile_ends(
-    tiles: wp.array[wp.int32],
-    # outputs
-    begins: wp.array[wp.int32],
-    ends: wp.array[wp.int32],
-):
-    """Where each tile's run begins and ends in the sorted list of pairs.
-
-    Args:
-        tiles: [pairs] ascending.
-        begins: [tiles] zeroed.
-        ends: [tiles] zeroed: an empty tile has an empty run.
-    """
-    k = wp.tid()
-    tile = tiles[k]
-    if k == 0 or tiles[k - 1] != tile:
-        begins[tile] = k
-    if k == tiles.shape[0] - 1 or tiles[k + 1] != tile:
-        ends[tile] = k + 1
+    boxes[i] = tile_box(view, splats[i])
 
 
 # --- light -----------------------------------------------------------------------------------------------------------

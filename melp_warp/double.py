@@ -28,7 +28,8 @@ VARIABLE = "MELP_WARP_PRECISION"
 """Environment variable: 32, the default, or 64. Read by `melp_warp/__init__.py`."""
 
 PICTURES = (
-    *("melp_warp.kernels.color", "melp_warp.kernels.raster", "melp_warp.kernels.render", "melp_warp.kernels.whole"),
+    *("melp_warp.kernels.color", "melp_warp.kernels.raster", "melp_warp.kernels.render", "melp_warp.kernels.tiles"),
+    "melp_warp.kernels.whole",
     *("melp_warp.optics", "melp_warp.preview", "melp_warp.surface", "melp_warp.whole"),
 )
 """Modules that stay as they are: they draw, and Warp's meshes hold float32 alone."""

@@ -342,7 +342,9 @@ def _draw_particles(frame: ParticleFrame, view, camera: Camera, environment: str
         layers = 4 if np.ptp(data["region"]) == 0 else int(kernels.MAX_LAYERS)
     wire = _wire(camera, view.columns // view.samples, view.rows // view.samples, environment)
     splats = _splats(frame, data, camera, wire.kind != kernels.NO_OUTLINE, device)
-    begins, ends, members = _bin_tiles(view, splats, device)
+    boxes = wp.empty(len(splats), dtype=wp.vec4i, device=device)
+    launch(kernels.box_splats, len(splats), [view, splats], [boxes], device)
+    begins, ends, members = surface.bin_tiles(boxes, view.tile_columns, -(-view.rows // int(kernels.TILE)))
     radiance = wp.empty((view.rows, view.columns), dtype=wp.vec3, device=device)
     inputs = [view, _look(environment, exposure, layers), wire, splats, begins, ends, members, table]
     surface.share(kernels.draw_samples, len(begins) * int(kernels.TILE) ** 2, inputs, [radiance], device)
@@ -353,18 +355,17 @@ def _develop(radiance: wp.array, samples: int, plain: bool) -> np.ndarray:
     """The picture of the radiance of its samples: film response, mean about each pixel, a glow about what is bright."""
     device = radiance.device
     rows, columns = radiance.shape
-    response, over = wp.empty_like(radiance), wp.empty_like(radiance)
-    surface.share(raster.respond, rows * columns, [radiance, plain], [response, over], device)
     height, width = rows // samples, columns // samples
     sigma = max(width, height) / 90.0
     block = max(1, int(sigma / 3.0))
     means = wp.empty((-(-height // block), -(-width // block)), dtype=wp.vec3, device=device)
     if not plain:
-        surface.share(raster.average_blocks, means.size, [over, block * samples], [means], device)
+        surface.share(raster.average_glare, means.size, [radiance, block * samples], [means], device)
         means.assign(0.06 * _blurred(means.numpy(), sigma / block))
+    surface.share(raster.respond, rows * columns, [plain], [radiance], device)
     weights = wp.array(_weights(samples), dtype=wp.float32, device=device)
     picture = wp.empty((height, width, 3), dtype=wp.uint8, device=device)
-    inputs = [response, weights, samples, means, float(block), plain]
+    inputs = [radiance, weights, samples, means, float(block), plain]
     surface.share(raster.develop, height * width, inputs, [picture], device)
     return picture.numpy()
 
@@ -495,26 +496,6 @@ def _splats(frame: ParticleFrame, data: dict[str, np.ndarray], camera: Camera, w
     crowd = float(min(_CROWD, len(points)))
     launch(kernels.fit_splats, len(points), [grid.id, *inputs, spacing, crowd, wired], [splats], device)
     return splats
-
-
-def _bin_tiles(view: kernels.View, splats: wp.array, device) -> tuple[wp.array, wp.array, wp.array]:
-    """For each tile of the picture where its splats begin and end in the list of members."""
-    n = len(splats)
-    counts = wp.empty(n, dtype=wp.int32, device=device)
-    launch(kernels.count_tiles, n, [view, splats], [counts], device)
-    ends = wp.empty_like(counts)
-    wp.utils.array_scan(counts, ends, inclusive=True)
-    total = int(ends[n - 1 :].numpy()[0])
-    tiles = wp.empty(2 * total, dtype=wp.int32, device=device)
-    members = wp.empty(2 * total, dtype=wp.int32, device=device)
-    tile_count = view.tile_columns * -(-view.rows // int(kernels.TILE))
-    tile_begins = wp.zeros(tile_count, dtype=wp.int32, device=device)
-    tile_ends = wp.zeros(tile_count, dtype=wp.int32, device=device)
-    if total > 0:
-        launch(kernels.list_tiles, n, [view, splats, ends, counts], [tiles, members], device)
-        wp.utils.radix_sort_pairs(tiles, members, total)
-        launch(kernels.find_tile_ends, total, [tiles[:total]], [tile_begins, tile_ends], device)
-    return tile_begins, tile_ends, members
 
 
 @lru_cache(maxsize=4)

@@ -20,7 +20,7 @@ from melp_warp import optics
 from melp_warp.errors import InputError, require
 from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
 from melp_warp.kernels import raster as kr
-from melp_warp.kernels.render import find_tile_ends
+from melp_warp.kernels import tiles
 from melp_warp.launch import launch
 
 SPLIT = (0.012, 0.05)
@@ -361,7 +361,9 @@ def draw(
     look = _look(surface, view, environment, background, gain, films, size, target)
     lines, loose = _lines(surface, view, target, radii, size, environment != "white", device)
     seen = _seen(surface, view, target, TOUCH * loose * radii, device)
-    begins, ends, members = _bin(view, look, seen, lines, device)
+    boxes = wp.empty(seen.face.shape[0] + lines.radius.shape[0], dtype=wp.vec4i, device=device)
+    launch(kr.box_seen, len(boxes), [view, look, seen, lines], [boxes], device)
+    begins, ends, members = bin_tiles(boxes, view.tile_columns, -(-view.rows // int(kr.TILE)))
     floors = [
         wp.array(np.array(a, np.float32).reshape(-1, 3), dtype=wp.vec3, device=device)
         for a in ([np.subtract(p, target) for p, _ in surface.floors], [n for _, n in surface.floors])
@@ -446,19 +448,24 @@ def _lines(
     return lines, loose
 
 
-def _bin(view, look: kr.Look, seen: kr.Surface, lines: kr.Lines, device) -> tuple[wp.array, wp.array, wp.array]:
-    """For each tile where its triangles and lines begin and end in the list of members."""
-    n = seen.face.shape[0] + lines.radius.shape[0]
-    tile_count = view.tile_columns * -(-view.rows // int(kr.TILE))
-    begins, tile_ends = (wp.zeros(tile_count, dtype=wp.int32, device=device) for _ in range(2))
+def bin_tiles(boxes: wp.array, columns: int, rows: int) -> tuple[wp.array, wp.array, wp.array]:
+    """For each of `columns` x `rows` tiles where what lies in it begins and ends in the list of members.
+
+    Args:
+        boxes: [n] vec4i, first and last tile column and first and last tile row of each thing.
+        columns: tiles along a row of the picture.
+        rows: rows of tiles.
+    """
+    n, device = len(boxes), boxes.device
+    begins, tile_ends = (wp.zeros(columns * rows, dtype=wp.int32, device=device) for _ in range(2))
     counts = wp.zeros(max(n, 1), dtype=wp.int32, device=device)
-    launch(kr.count_seen, n, [view, look, seen, lines], [counts], device)
+    launch(tiles.count_tiles, n, [boxes], [counts], device)
     ends = wp.empty_like(counts)
     wp.utils.array_scan(counts, ends, inclusive=True)
     total = int(ends[-1:].numpy()[0])
-    tiles, members = (wp.empty(2 * total, dtype=wp.int32, device=device) for _ in range(2))
+    tile, members = (wp.empty(2 * total, dtype=wp.int32, device=device) for _ in range(2))
     if total > 0:
-        launch(kr.list_seen, n, [view, look, seen, lines, ends, counts], [tiles, members], device)
-        wp.utils.radix_sort_pairs(tiles, members, total)
-        launch(find_tile_ends, total, [tiles[:total]], [begins, tile_ends], device)
+        launch(tiles.list_tiles, n, [boxes, columns, ends, counts], [tile, members], device)
+        wp.utils.radix_sort_pairs(tile, members, total)
+        launch(tiles.find_tile_ends, total, [tile[:total]], [begins, tile_ends], device)
     return begins, tile_ends, members
