@@ -4,21 +4,23 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
 
-from melp_warp.frame import MeshFrame
+from melp_warp.frame import MeshFrame, WholeFrame
 from melp_warp.usd import (
     ATTRIBUTES,
     MESH_ATTRIBUTES,
+    WHOLE,
     CacheWriter,
     attributes_of,
     flatten,
     read_frame,
     read_mesh,
+    read_whole,
     write_stage,
 )
 from tests.io.test_usd import make_frame
 
 FIRST = 1001
-PRIMS = ("Film", "FilmE", "FilmSurface/Region_0", "FilmSurface/Region_3")
+PRIMS = ("Film", "FilmE", "FilmSurface/Region_0", "FilmSurface/Region_3", WHOLE)
 COUNTS = (7, 9, 9, 0, 5)
 LAST = FIRST + len(COUNTS) - 1
 
@@ -33,6 +35,17 @@ def make_mesh(number):
     return MeshFrame(points, 2.0 * points, points, values, np.zeros(n, np.int32), faces)
 
 
+def make_shared(number):
+    """The same tetrahedron with values at the corners of its faces, parted from another region by one of these."""
+    mesh = make_mesh(number)
+    at, sides = mesh.faces.reshape(-1), np.array([0, 0, 0, 0], np.int32)
+    values = np.random.default_rng(number).uniform(100, 900, len(at)).astype(np.float32)
+    return WholeFrame(
+        *(mesh.points, mesh.velocities, mesh.normals[at], values, np.zeros(len(at), np.int32), mesh.faces),
+        *(sides, np.array([3, -1, -1, -1], np.int32)),
+    )
+
+
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compose") / "run"
@@ -41,11 +54,15 @@ def cache(tmp_path_factory):
         frame = make_frame(count, seed=k)
         frames = {"Film": frame, "FilmE": make_frame(2 * count, seed=10 + k)}
         frames |= {PRIMS[2]: make_mesh(k), PRIMS[3]: make_mesh(k + 5) if k > 0 else MeshFrame.empty()}
+        frames[WHOLE] = make_shared(k) if k < 4 else WholeFrame.empty()
         writer.write(FIRST + k, frames)
     return folder
 
 
 def expected(cache, prim, frame):
+    if prim == WHOLE:
+        found = read_whole(cache, frame)
+        return vars(found) | {"faces": found.faces.reshape(-1)}
     if prim.startswith("FilmSurface/"):
         found = read_mesh(cache, frame, int(prim[-1]))
         return vars(found) | {"faces": found.faces.reshape(-1)}
@@ -170,7 +187,7 @@ def test_one_thing_is_shown_and_has_a_look(cache, root):
     """Meshes where there are any; points are guides. All are bound to the material."""
     stage = Usd.Stage.Open(root)
     purposes = {prim: UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{prim}")).ComputePurpose() for prim in PRIMS}
-    assert purposes == {"Film": "guide", "FilmE": "guide", PRIMS[2]: "default", PRIMS[3]: "default"}
+    assert purposes == {"Film": "guide", "FilmE": "guide", PRIMS[2]: "default", PRIMS[3]: "default", WHOLE: "default"}
     for prim in PRIMS:
         bound = stage.GetPrimAtPath(f"/World/{prim}").GetRelationship("material:binding").GetTargets()
         assert bound == [Sdf.Path("/World/Looks/SoapFilm")]

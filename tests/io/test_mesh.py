@@ -10,8 +10,9 @@ from melp_warp.frame import MeshFrame, ParticleFrame
 from melp_warp.mesh import MOST_CORNERS, make_meshes
 from melp_warp.mesh_validation import SCENES, area_of, liquid_in, liquid_of, problems_of, prove_scene, volume_of
 from melp_warp.noise import Perlin
+from melp_warp.registry import scene_names
 from melp_warp.shapes import Cap, Catenoid, Disc, Ellipsoid, Jittered, Rectangle, Sphere, displaced_sphere
-from melp_warp.usd import list_frames, read_frame, read_mesh, read_metadata, surface_prim
+from melp_warp.usd import CacheWriter, list_frames, read_frame, read_mesh, read_metadata, surface_prim
 from tests.foams import cluster
 from tests.helpers import fitted_order
 
@@ -212,6 +213,25 @@ def test_a_film_without_a_rim_is_a_named_hole(device):
     assert len(bare_edges(meshes[0])) > MOST_CORNERS
     assert any(p.startswith("region 0: a hole of ") and p.endswith(" m") for p in problems)
     assert any("open along" in p for p in problems_of(meshes[0]))
+
+
+def test_holes_are_named_with_frame_and_region(tmp_path, capsys):
+    """By the command, which fails, and by `check`; what there is of the film is written all the same."""
+    e = frame_of(Disc(RADIUS).sample(600))
+    e.region[:] = 2
+    writer = CacheWriter(tmp_path / "cache", 24.0, {"scene": "test", "seed": 1})
+    for frame in (7, 8):
+        writer.write(frame, {"Film": e})
+    assert cli.main(["mesh", str(tmp_path / "cache")]) == 1
+    told = capsys.readouterr().out
+    for frame in (7, 8):
+        assert f"frame {frame}: region 2: a hole of " in told
+        assert len(read_mesh(tmp_path / "cache", frame, 2).faces) > 1000
+    assert any("Region_2: open along" in problem for problem in check_cache(tmp_path / "cache"))
+
+
+def test_every_scene_is_tried():
+    assert set(SCENES) == set(scene_names())
 
 
 # --- foams ---------------------------------------------------------------------------------------------------------

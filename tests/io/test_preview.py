@@ -15,6 +15,7 @@ from melp_warp.pictures import Cache
 from melp_warp.preview import FORMATS, Camera, contact_sheet, render, save_image
 from melp_warp.shapes import Disc, Rectangle, Sphere
 from melp_warp.surface import Surface, borders
+from melp_warp.whole import make_whole
 from tests.foams import cluster
 
 RADIUS = 0.1
@@ -416,6 +417,22 @@ def test_borders_run_where_films_meet():
     assert (width < 0.02 * radii.min()).all()
     alone, _, _ = borders(Surface({0: meshed()}), np.array([RADIUS]))
     assert len(alone) == 0
+
+
+def test_one_mesh_of_a_foam_looks_as_its_regions_do():
+    """Partitions are as thick as both sheets, borders are edges; away from these the two pictures are the same."""
+    e = cluster(2, 1000)
+    e.thickness[:] = 60.0  # thin: sharp corners have more area, so films are 1 % thinner, which colours of 500 nm show
+    apart, whole = Surface(make_meshes(e)[0]), Surface.of_whole(make_whole(e)[0])
+    camera = Camera.fit(e, direction=(0.3, 0.2, 1.0))
+    one, two = (white(film, 96, camera=camera, exposure=4.0).astype(float) for film in (apart, whole))
+    off = np.abs(one - two).max(axis=2)[one.max(axis=2) > 0.0]
+    assert np.median(off) <= 3.0
+    assert np.quantile(off, 0.8) <= 8.0
+    lines, width, _ = borders(whole, whole.radii())
+    length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum()
+    assert length == pytest.approx(2.0 * np.pi * np.sqrt(0.75), rel=0.03)
+    assert (width > 0.0).all() and (width < 0.02).all()
 
 
 def test_a_wire_hides_what_is_behind_it():
