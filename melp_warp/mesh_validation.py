@@ -144,6 +144,7 @@ SCENES = {
     "four_bubbles": {"e_count": 800, "l_per_e": 2},
     "giant_bubble": {"e_count": 400, "l_per_e": 4},
     "giant_bubble_vortices": {"e_count": 500, "l_per_e": 4},
+    "inflation": {"e_count": 400, "l_per_e": 4},
     "leapfrog": {"e_count": 800, "l_per_e": 4},
     "oscillating_bubble": {"e_count": 400},
     "quadruple_bubble": {"e_count": 800, "l_per_e": 2},
