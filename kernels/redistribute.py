@@ -147,7 +147,7 @@ def shift_e(
 
 
 @wp.kernel
-def keep_liquid_e(
+def sweep_liquid_e(
     x: wp.array(dtype=wp.vec3),
     moved: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
@@ -157,10 +157,9 @@ def keep_liquid_e(
     mass: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
     # outputs
-    mass_new: wp.array(dtype=float),
-    surfactant_new: wp.array(dtype=float),
+    swept: wp.array(dtype=wp.vec2),
 ):
-    """Liquid of a film of E alone stays where it is: what the borders of the cells sweep goes from one E to the other.
+    """What the borders of the cells sweep as E of a film of E alone are shifted: it goes from one E to the other.
 
     Pair by pair, so that none is lost: m_ij = w_ij eta_ij s.d, s the mean shift of both and d the way from one to the
     other, which is the swept area of (20) where s = -grad C. eta_ij is that in the middle of what is swept.
@@ -174,14 +173,13 @@ def keep_liquid_e(
         n_e: number of E.
         mass: [n_e] kg.
         surfactant: [n_e] mol.
-        mass_new: [n_e] kg.
-        surfactant_new: [n_e] mol.
+        swept: [n_e] mass and surfactant that each E gets, kg and mol.
     """
     i = rows.first + wp.tid()
     own = moved[i] - x[i]
     liquid = wp.vec2(mass[i], surfactant[i])
     layer = liquid / area[i]
-    total = liquid
+    total = wp.vec2()
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < n_e:
@@ -190,5 +188,46 @@ def keep_liquid_e(
             other = wp.vec2(mass[j], surfactant[j]) / area[j]
             ahead = 2.0 / 3.0 * way / wp.max(wp.length_sq(d), 1.0e-30)
             total += weight[k] * way * (0.5 * (layer + other) + ahead * (other - layer))
-    mass_new[i] = total[0]
-    surfactant_new[i] = total[1]
+    swept[i] = total
+
+
+@wp.kernel
+def blur_swept_e(
+    swept: wp.array(dtype=wp.vec2),
+    area: wp.array(dtype=float),
+    near: wp.array(dtype=float),
+    rows: Neighbors,
+    n_e: int,
+    # outputs
+    blurred: wp.array(dtype=wp.vec2),
+):
+    """Mean of what is swept over the neighbours, as control areas are means of cells; its sum stays.
+
+    Args:
+        swept: [n_e] kg and mol.
+        area: [n_e] m^2.
+        near: [pairs] W of each pair, 1/m^2.
+        rows: E:E neighbours.
+        n_e: number of E.
+        blurred: [n_e] kg and mol.
+    """
+    i = rows.first + wp.tid()
+    total = swept[i]
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        if j < n_e:
+            total += near[k] * (area[i] * swept[j] - area[j] * swept[i])
+    blurred[i] = total
+
+
+@wp.kernel
+def take_swept_e(
+    swept: wp.array(dtype=wp.vec2),
+    # outputs
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+):
+    """Give E what they get, kg and mol: their liquid stays where it is. [n_e]."""
+    i = wp.tid()
+    mass[i] = mass[i] + swept[i][0]
+    surfactant[i] = surfactant[i] + swept[i][1]

@@ -79,7 +79,7 @@ class Redistribution:
         self.shifted, self._u = (film.zeros(film.n_e, wp.vec3) for _ in range(2))
         self._u_mid = film.zeros(film.n_e)
         # the liquid of a film with L is theirs
-        self._liquid = None if film.features.lagrangian else [film.zeros(film.n_e) for _ in range(2)]
+        self._swept = None if film.features.lagrangian else [film.zeros(film.n_e, wp.vec2) for _ in range(2)]
 
     def apply(self, u_mid: wp.array) -> None:
         """Shift E once towards even density; nothing moves where the spread is below the scene's threshold.
@@ -107,7 +107,7 @@ class Redistribution:
             ],
             [self.shifted, self._u, self._u_mid],
         )
-        if self._liquid is not None:
+        if self._swept is not None:
             self._keep_liquid()
         for array, new in ((e.x, self.shifted), (e.u, self._u), (u_mid, self._u_mid)):
             copy(array, new, count=film.n_e)
@@ -115,13 +115,12 @@ class Redistribution:
     def _keep_liquid(self) -> None:
         """Leave the liquid where it is."""
         film, e, geometry = self.film, self.state.e, self.geometry
-        film.launch_e(
-            kr.keep_liquid_e,
-            [e.x, self.shifted, geometry.area, geometry.weight, self.lists.ee.rows, film.n_e, e.mass, e.surfactant],
-            self._liquid,
-        )
-        for array, new in zip((e.mass, e.surfactant), self._liquid, strict=True):
-            copy(array, new)
+        rows, (swept, blurred) = self.lists.ee.rows, self._swept
+        inputs = [e.x, self.shifted, geometry.area, geometry.weight, rows, film.n_e, e.mass, e.surfactant]
+        film.launch_e(kr.sweep_liquid_e, inputs, [swept])
+        for new, mean in ((swept, blurred), (blurred, swept)):
+            film.launch_e(kr.blur_swept_e, [new, geometry.area, geometry.near, rows, film.n_e], [mean])
+        film.launch_e(kr.take_swept_e, [swept], [e.mass, e.surfactant])
 
 
 class LagrangianAdvance:

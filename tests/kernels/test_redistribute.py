@@ -152,10 +152,10 @@ def test_fields_are_found_to_third_order(device):
 
 
 def test_liquid_stays_where_it_is(device):
-    """A film of E alone, thicker above: a shift keeps its mass to rounding, and its thickness as a field to 0.8 %.
+    """A film of E alone, thicker above: a shift keeps its mass to rounding, and its thickness as a field to 3 %.
 
-    That is the 99th percentile of the E; some ten beside the poles of the sampling, where two E nearly meet, are 6 %
-    off. Carried along with the E the thickness would be off by what the shift compresses: 7 %.
+    Carried along with the E the thickness would be off by what the shift compresses: 25 % where E were sparse and run
+    together, 2 % in the mean.
     """
     _, s = clustered(2000, device)
     e = s.state.e
@@ -172,14 +172,18 @@ def test_liquid_stays_where_it_is(device):
     exact = thickness(f64(e.x))
 
     def worst(change):
-        return np.percentile(np.abs(change), 99.0)
+        return np.abs(change).max()
+
+    def mean(change):
+        return np.sqrt(np.mean(change**2))
 
     off = f64(e.mass) / f64(s.geometry.area) / exact - 1.0
     carried = before / f64(s.geometry.area) / exact - 1.0
     print(f"off {worst(off):.2%}, carried along {worst(carried):.2%}, area {np.ptp(area) / area.mean():.2f}")
     assert f64(e.mass).sum() == pytest.approx(before.sum(), rel=1e-6)
     assert np.array_equal(e.surfactant.numpy(), e.mass.numpy())
-    assert worst(off) < 0.15 * worst(carried)
+    assert worst(off) < 0.2 * worst(carried)
+    assert mean(off) < 0.1 * mean(carried)
 
 
 def test_solve_comes_to_its_tolerance(device):
