@@ -65,12 +65,12 @@ CASES = (
     EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4, "air": "none"}, 0.07),
     EnergyCase("drainage", 150, {"e_count": 400, "l_per_e": 8}, 0.01),
     EnergyCase("equilibrium", 150, {"e_count": 400, "l_per_e": 8}, 0.01),
-    EnergyCase("taylor_vortices", 192, {"e_count": 900, "l_per_e": 8}),
-    EnergyCase("stirred_disc", 48, {"e_count": 900, "l_per_e": 8}),
+    EnergyCase("taylor_vortices", 192, {"e_count": 900, "l_per_e": 8}, 0.01),
+    EnergyCase("stirred_disc", 48, {"e_count": 900, "l_per_e": 8}, 0.01),
     EnergyCase("giant_bubble_vortices", 48, {"e_count": 1000, "l_per_e": 4}),
     EnergyCase("deforming_rectangle_2m", 48, {"e_count": 900, "l_per_e": 4}),
-    EnergyCase("leapfrog", 48, {"e_count": 900, "l_per_e": 8}),
-    EnergyCase("turbulent_film", 48, {"e_count": 900, "l_per_e": 8}),
+    EnergyCase("leapfrog", 48, {"e_count": 900, "l_per_e": 8}, 0.01),
+    EnergyCase("turbulent_film", 48, {"e_count": 900, "l_per_e": 8}, 0.01),
     EnergyCase("double_bubble", 60, {"e_count": 400, "l_per_e": 4}),
     EnergyCase("size_ratio", 60, {"e_count": 450, "l_per_e": 4}),
     EnergyCase("triple_bubble", 60, {"e_count": 600, "l_per_e": 4}),
@@ -95,7 +95,9 @@ def run_case(case: EnergyCase, scale: float = 1.0, frames: int | None = None) ->
         stopped = str(error)
     ledger = simulation.ledger
     moved = ledger.moved or 1.0
-    losses = [(term.name, -ledger.flows[term.name] / moved) for term in TERMS if term.kind == LOSS]
+    # what bubbles that come bring along is measured from a zero that means nothing
+    terms = [term for term in TERMS if term.kind == LOSS and term.name != "events"]
+    losses = [(term.name, -ledger.flows[term.name] / moved) for term in terms]
     raised = max(losses, key=lambda pair: pair[1])
     return Found(
         simulation.film.n_e,
