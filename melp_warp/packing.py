@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from melp_warp.errors import require
 from melp_warp.fits import close_pairs
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import DISPLAY_MAX_THICKNESS, display_color
@@ -26,6 +27,9 @@ SUPPORT = 3.0
 
 MOST_NEAR = 1000
 """Particles in a cube as wide as that radius; where there are more it is no film, and nothing is fitted."""
+
+_UNIT = 1e-2
+"""Largest error of the length of a stored normal."""
 
 _SAME_SIDE = 0.5
 """Least product of the stored normals of particles that lie on one sheet."""
@@ -90,11 +94,16 @@ def refine_normals(frame: ParticleFrame) -> ParticleFrame:
     """The frame with normals of the film that its points lie on, where those it has tell no more than the side.
 
     The film is fitted at each particle by a quadric over those of the same region that look the same way.
+
+    Raises:
+        InputError: a normal is not of unit length.
     """
     n = len(frame.points)
     if n == 0:
         return frame
     x, normal = frame.points.astype(np.float64), frame.normals.astype(np.float64)
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    require(bool((np.abs(size - 1.0) < _UNIT).all()), "normals", float(size.min()), "of unit length")
     radius = SUPPORT * max(float(np.sqrt(0.25 * np.pi * np.mean(frame.widths.astype(np.float64) ** 2))), 1e-9)
     if _most_in_a_cube(x, radius) > MOST_NEAR:
         return frame

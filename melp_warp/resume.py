@@ -25,8 +25,8 @@ PICTURES = {"preview.png", CONTACT, "budget.png"}
 OURS = {ROOT, MANIFEST, LOOK, STAGE, SCRIPT, TABLES, FRAMES, LOG, CHECKPOINT, OLDER, NEWER, *PICTURES}
 """What a run, and what draws it, writes into its folder."""
 
-_LEFTOVER = re.compile(r"\..+\.tmp\.[a-z]+")
-"""Temporaries of a writer that was killed, see `files.replacing`."""
+_LEFTOVER = re.compile(r"\..+\.tmp\.\w+")
+"""Temporaries of a writer that was killed, see `files.replacing`; USD has its own, which end in six random letters."""
 
 
 NAMES = {"first": "start", "budget": "no-budget", "punctures": "puncture"}

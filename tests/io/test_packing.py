@@ -10,6 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from melp_warp import cli, packing
 from melp_warp.apart import read_frame as read_apart
 from melp_warp.check import check_cache
+from melp_warp.errors import InputError
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import display_color
 from melp_warp.room import Written
@@ -119,6 +120,14 @@ def test_a_crowd_is_no_film():
     }
     crowd = ParticleFrame(**arrays)
     assert packing.refine_normals(crowd) is crowd
+
+
+@pytest.mark.parametrize("factor", [0.0, 2.0, -0.5, 1e9])
+def test_normals_that_are_none_are_named(factor):
+    frame = on_ellipsoid(50)
+    frame.normals[7] *= np.float32(factor)
+    with pytest.raises(InputError, match="normals must be of unit length"):
+        packing.refine_normals(frame)
 
 
 def test_sheets_that_lie_side_by_side_are_kept_apart():

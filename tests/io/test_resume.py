@@ -227,7 +227,10 @@ def test_overwrite_removes_a_run_and_nothing_else(film, tmp_path, capsys):
     assert run(script, out, "--overwrite") == 2
     one_line(capsys, "a folder that holds a run and nothing else", "notes.txt")
     (out / "notes.txt").unlink()
+    for left in (".film.000003.ab_c1def.tmp.usdc", ".film.000003.lko5_w4g.tmp.zOSPg5"):  # ours, and USD's own
+        (out / "frames" / left).write_text("")
     assert run(script, out, "--overwrite", "--frames", 2) == 0
+    assert len(list((out / "frames").iterdir())) == 3
     assert list_frames(out) == [0, 1, 2]
     assert check_cache(out) == []
 
