@@ -380,15 +380,8 @@ def test_what_a_checkpoint_says_of_its_run_is_checked(film, tmp_path):
     good = {
         "scene": "film",
         "parameters": {},
-        "options": {
-            "export": None,
-            "full": False,
-            "mesh": False,
-            "triangles": None,
-            "whole": False,
-            "first": 0,
-            "budget": True,
-        },
+        "options": {name: {str: ""}.get(kind, False) for name, kind in resume.OPTIONS.items()}
+        | {"export": None, "triangles": None, "first": 0},
         "frame": 6,
         "line": header,
         "empty_from": None,
