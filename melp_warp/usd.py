@@ -966,8 +966,8 @@ def add_meshes(
     sums[MANIFEST] = _export(manifest, directory / MANIFEST)
     _drop_meshes(root)
     _declare(root, meshes, origin)
+    _set_range(root, numbers[0], numbers[-1])  # before USD opens it as a stage: no clips but these
     _bind(root, meshes)
-    _set_range(root, numbers[0], numbers[-1])
     return sums | {ROOT: _export(root, directory / ROOT)}
 
 
