@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from melp_warp.bursting import Puncture
-from melp_warp.errors import InputError, SimulationError
+from melp_warp.errors import SimulationError
 from melp_warp.fits import nearest_distance, squares
 from melp_warp.frame import ParticleFrame
 from melp_warp.free_rim import REACH, RIM_CFL, SIGHT
@@ -99,10 +99,10 @@ class Burst:
         course = sim.state.course
         if sim.gone:
             return None
-        waiting = self.pending
-        if waiting and waiting[0].time <= sim.time + 1e-12:
+        while (waiting := self.pending) and waiting[0].time <= sim.time + 1e-12:
             course.punctured += 1
-            return self._puncture(waiting[0])
+            if (change := self._puncture(waiting[0])) is not None:
+                return change
         thin = self._thinnest()
         if thin is not None:
             return self._puncture(Puncture(tuple(thin.tolist()), sim.time))
@@ -215,17 +215,15 @@ class Burst:
         place = np.array(one.place) - sim.state.origin
         away = np.linalg.norm(x - place, axis=1)
         if film.features.holed:
-            away = np.where(e.behind.numpy() == 0, away, np.inf)
+            behind = e.behind.numpy() == 1
+            if one.end is None and behind[np.argmin(away)]:
+                return self._without_effect(one, "in a hole")
+            away = np.where(behind, np.inf, away)
         i = int(np.argmin(away))
         size = float(np.sqrt(sim.scene.shape.area))
         radius = film.spacing if one.radius is None else one.radius
         if not away[i] <= max(0.25 * size, film.spacing):
-            where = ", ".join(f"{c:g}" for c in one.place)
-            text = f"the puncture at {where} at {one.time:g} s is {away[i]:.3g} m off the film: nothing happens"
-            sim.notices.note("puncture without effect", 1.0, text)
-            return None
-        if radius > 0.25 * size:
-            raise InputError(f"radius of a puncture must be at most {0.25 * size:.3g} m for this film, got {radius:g}")
+            return self._without_effect(one, f"{away[i]:.3g} m off the film")
         normal = e.normal.numpy()[i].astype(np.float64)
         m = sim.scene.material
         sim.stepper.fields.update()
@@ -235,6 +233,8 @@ class Burst:
         if np.linalg.norm(centre - x[i]) > film.spacing:
             centre = x[i]
         end = centre if one.end is None else np.array(one.end) - sim.state.origin
+        farthest = float(np.linalg.norm(x - centre, axis=1).max()) + 2.0 * film.r
+        end = centre + (end - centre) * min(1.0, farthest / max(float(np.linalg.norm(end - centre)), 1e-30))
         ring = _ring(centre, end, normal, radius, POINTS * film.spacing)
         nearest = np.concatenate([np.argmin(squares(part, x), axis=1) for part in np.array_split(ring, len(ring))])
         normals = e.normal.numpy()[nearest].astype(np.float64)
@@ -242,6 +242,12 @@ class Burst:
         flow = e.u.numpy()[nearest]
         seen = np.tile([gamma, eta], (len(ring), 1))
         return lambda stored: self._open(stored, ring, normals, flow, seen, speed)
+
+    def _without_effect(self, one: Puncture, why: str) -> None:
+        """Note a puncture that makes no hole."""
+        where = ", ".join(f"{c:g}" for c in one.place)
+        text = f"the puncture at {where} at {one.time:g} s is {why}: nothing happens"
+        self._sim.notices.note("puncture without effect", 1.0, text)
 
     def _open(self, stored, ring, normals, flow, seen, speed) -> None:
         """Put a rim into the state; its liquid is what it finds behind it when it first looks."""

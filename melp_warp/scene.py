@@ -152,6 +152,10 @@ class Scene:
         require(layers == 2, "layers", layers, "2 for a film that bursts")
         scheme = self.numerics.scheme
         require(scheme != "explicit", "scheme", scheme, "backward_euler or trapezoid for a film that bursts")
+        most = 0.25 * math.sqrt(self.shape.area)
+        for one in self.bursting.punctures:
+            allowed = f"at most {most:.3g} m for this film"
+            require(one.radius is None or one.radius <= most, "radius of a puncture", one.radius, allowed)
 
     def _check_foam(self) -> None:
         """Refuse what a foam has no use for, rather than leave it out in silence."""

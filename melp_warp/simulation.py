@@ -380,7 +380,7 @@ class Simulation:
                 f"stage advance_e: cfl asks for steps of {limit:.3g} s at a speed of {self._fastest():.3g} m/s,"
                 f" more than {MOST_STEPS:,} a frame"
             )
-        count = math.ceil(left / limit - 1e-6)
+        count = max(1, math.ceil(left / limit - 1e-6))
         sudden = self.film.walls or self.state.course.unborn  # regions may change after any step
         if self.stepper.budget is not None and (count == 1 or sudden):
             self.stepper.budget.weigh()

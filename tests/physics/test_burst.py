@@ -288,3 +288,34 @@ def test_a_cap_bursts():
         simulation.advance_frame()
         assert liquid(simulation) == pytest.approx(before, rel=1e-5)
     assert simulation.gone and simulation.diagnostics()["frame_mass"] > 0.9 * before
+
+
+@pytest.mark.parametrize("time", [1e-10, 1e-3 + 1e-9, 1e-3 - 1e-11])
+def test_a_puncture_may_come_right_after_another_moment(time):
+    """At any time, however near to the start or to the end of a frame: the step up to it is short, and is taken."""
+    scene = film(Material(), (Puncture((0.0, 0.0, 0.0), time),), e_count=400)
+    object.__setattr__(scene, "fps", 1000.0)
+    simulation = Simulation(scene)
+    simulation.advance_frame()
+    simulation.advance_frame()
+    assert simulation.diagnostics()["rims"] == 1
+
+
+def test_a_puncture_in_a_hole_makes_none():
+    """Twice at the same place is one hole: the film there is gone. What is due with it is not put off."""
+    places = [(0.0, 0.0, 0.0), (0.001, 0.0, 0.0), (0.0, 0.0, 1.0), (0.03, 0.03, 0.0)]
+    simulation = Simulation(film(Material(), tuple(Puncture(place, 0.0) for place in places), e_count=400, cross=0.2))
+    simulation._change_regions()
+    assert simulation.diagnostics()["rims"] == 2 and not simulation.burst.pending
+    simulation.advance_frame()
+    assert simulation.diagnostics()["rims"] == 2
+
+
+def test_a_cut_may_end_far_beyond_the_frame():
+    """It is as long as the film: one to 1 km away as one that ends just beyond the frame."""
+    rims = []
+    for end in (0.2, 1e3):
+        simulation = Simulation(film(Material(), (Puncture((0.0, 0.0, 0.0), 0.0, end=(end, 0.0, 0.0)),), e_count=400))
+        simulation.advance_frame()
+        rims.append(simulation.diagnostics()["rim_length"])
+    assert rims[0] == pytest.approx(rims[1], rel=0.02)
