@@ -160,13 +160,13 @@ def load_stream_e(
     b: wp.array(dtype=float),
     start: wp.array(dtype=float),
 ):
-    """Right-hand side of -lap_s psi = -delta. On a closed film delta has no mean, as no curl has.
+    """Right-hand side of -lap_s psi = -delta. Without a frame delta has no mean, as no curl on a closed film has.
 
     Args:
         deficit: [n_e] m^2/s.
         area: [n_e] m^2.
         region: [n] region of each E.
-        part: from `mean_deficit_chunks`; null for an open film, where psi is 0 at the rim.
+        part: from `mean_deficit_chunks`; null for a film with a frame, where psi is 0 at the rim.
         regions: number of regions.
         b: [n_e] m^2/s.
         start: [n] first guess, 0.

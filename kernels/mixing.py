@@ -50,6 +50,7 @@ def give_held_l(
     eta: wp.array(dtype=float),
     density: float,
     place: wp.array(dtype=wp.int32),
+    behind: wp.array(dtype=wp.int32),
     # outputs
     where: wp.array(dtype=wp.vec3),
     flow: wp.array(dtype=wp.vec3),
@@ -67,6 +68,7 @@ def give_held_l(
         eta: [n_l] m.
         density: kg/m^3.
         place: [n_l] place of each L.
+        behind: [n_l] 1 for L whose liquid is a free rim's, which have no area to mix by; null for a film without holes.
         where: x.
         flow: u.
         held: (mass, surfactant, area, shear rate).
@@ -75,7 +77,11 @@ def give_held_l(
     k = place[i]
     where[k] = x[i]
     flow[k] = u[i]
-    held[k] = wp.vec4(mass[i], surfactant[i], mass[i] / (density * eta[i]), shear_of(affine[i], normal[i]))
+    area = mass[i] / (density * eta[i])
+    if behind:
+        if behind[i] == 1:
+            area = 0.0
+    held[k] = wp.vec4(mass[i], surfactant[i], area, shear_of(affine[i], normal[i]))
 
 
 @wp.kernel
@@ -127,6 +133,8 @@ def mix_l(
         h = home[i]
         p = where[own]
         mine = held[own]
+        if mine[2] <= 0.0:
+            return
         reach = REACH * spacing
         gained = float(0.0)
         active = float(0.0)
@@ -142,6 +150,8 @@ def mix_l(
                         s = wp.length_sq(where[m] - p) / (reach * reach)
                         if s < 1.0 and m != own:
                             other = held[m]
+                            if other[2] <= 0.0:
+                                continue
                             rate = strength * 0.5 * (mine[3] + other[3]) * time[0]
                             share = SPREAD * MOST * (1.0 - wp.exp(-rate / MOST)) * (1.0 - s) * (1.0 - s)
                             shared = share * 2.0 * mine[2] * other[2] / (mine[2] + other[2])

@@ -52,7 +52,7 @@ class Circulation:
         n = film.n_e
         self.carried, self.blurred, self._deficit, self._made = (film.zeros(n) for _ in range(4))
         self._given = film.zeros(8 * -(-film.n_l // 8))
-        self._mean = film.parts(wp.vec2) if film.features.closed else None
+        self._mean = film.parts(wp.vec2) if rim is None else None
         operator = LinearOperator(n, lists.ee.rows, film.device, pair=geometry.weight)
         self.solver = ConjugateGradient(
             operator, film.total, wp.float32, RESTORE_TOLERANCE, film.numerics.max_iterations

@@ -52,7 +52,7 @@ class Mixing:
             kx.give_held_l,
             [
                 *(lag.x, lag.u, lag.affine, lag.normal, lag.mass, lag.surfactant, lag.eta),
-                *(film.material.density, lists.el.place),
+                *(film.material.density, lists.el.place, lag.behind),
             ],
             by_home,
         )

@@ -8,6 +8,7 @@ import pytest
 from melp_warp.bursting import Bursting, Puncture
 from melp_warp.errors import InputError
 from melp_warp.material import Material, Surroundings
+from melp_warp.numerics import Numerics
 from melp_warp.rims import RAYLEIGH, Rims, Thread
 from melp_warp.scene import Scene
 from melp_warp.shapes import Cap, Rectangle, Sphere
@@ -319,3 +320,23 @@ def test_a_cut_may_end_far_beyond_the_frame():
         simulation.advance_frame()
         rims.append(simulation.diagnostics()["rim_length"])
     assert rims[0] == pytest.approx(rims[1], rel=0.02)
+
+
+def test_liquid_that_mixes_is_that_of_the_film_alone():
+    """L that a rim has passed exchange nothing: their liquid is counted in the rim."""
+    material, numerics = Material(thickness=400e-9), Numerics(mixing=1.0)
+    punctures = (Puncture((0.0, 0.05, 0.0), 0.0),)
+    scene = film(material, punctures, 400, 4, shape=Cap(0.05), cross=0.8, numerics=numerics)
+    simulation = Simulation(scene)
+    before = liquid(simulation)
+    for _ in range(9):
+        simulation.advance_frame()
+        assert liquid(simulation) == pytest.approx(before, rel=1e-6)
+
+
+def test_circulation_is_restored_in_a_bubble_with_a_hole():
+    """It has neither gas nor a frame: the stream function is known up to a constant, as on a whole one."""
+    simulation = Simulation(bubble(400, 4, numerics=Numerics(carrier="circulation")))
+    for _ in range(4):
+        simulation.advance_frame()  # raises where the solve does not end
+    assert simulation.diagnostics()["rims"] == 1
