@@ -265,7 +265,7 @@ def film_of(scene: Scene, state: State, spacing: float, room: float | None = Non
     counts = np.bincount(state.e.region.numpy()[: sizes["e"]], minlength=sizes["r"])
     factor = [scene.shape.bubbles[k].tension for k in labels] if features.foam else [1.0]
     tension = scene.material.tension * np.array(factor, dtype=wp.dtype_to_numpy(wp.float32))
-    rim = _rim(scene, spacing) if sizes["b"] else None
+    rim = _rim(scene, spacing) if sizes["e"] else None
     if rim is not None:
         held = (rim.anchors - state.origin, rim.outward, rim.curvature)
         rim = RimArrays(*(wp.array(a, dtype=wp.vec3, device=device) for a in held))

@@ -27,7 +27,17 @@ SHEETS = {
     "quadruple_bubble": (["--set", "e_count=1600", "l_per_e=8"], (10, 30, 90)),
     "cluster": (["--set", "e_count=2600", "l_per_e=4"], (0, 20, 60)),
     "foam_mountain": (["--set", "e_count=2000", "bubbles=8"], (20, 50, 90)),
+    "film_burst": ([], (5, 40, 80)),
+    "burst_pair": ([], (20, 60, 90)),
+    "giant_bubble_burst": (
+        ["--set", "e_count=4000", "puncture_time=0.3", "slow_from=0.3", "slow_motion=15", "--frames", "36"],
+        (21, 26, 31),
+    ),
+    "inflation": ([], (0, 60, 125)),
 }
+
+SCENE = {"giant_bubble_burst": "giant_bubble"}
+"""Scenes of sheets that have another name."""
 
 
 def draw(name: str, size: int) -> None:
@@ -35,7 +45,7 @@ def draw(name: str, size: int) -> None:
     options, wanted = SHEETS[name]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / name
-        if melp_warp(["run", name, "--mesh", "--quiet", "--out", str(out), *options]):
+        if melp_warp(["run", SCENE.get(name, name), "--mesh", "--quiet", "--out", str(out), *options]):
             raise SystemExit(f"{name} failed")
         cache = Cache(out)
         camera = cache.camera()

@@ -644,7 +644,7 @@ def scripts():
 
 
 def test_scene_files_are_short():
-    assert len(scripts()) == 17
+    assert len(scripts()) == 20
     for path in scripts():
         assert len(path.read_text().splitlines()) < 100, path.name
 

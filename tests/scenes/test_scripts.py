@@ -27,6 +27,7 @@ SCENES = (
     "giant_bubble",
     "oscillating_bubble",
     "taylor_vortices",
+    "inflation",
 )
 COMMON = "thickness tension surfactant density gravity pressure air viscosity drag e_count l_per_e seed".split()
 OWN = {
