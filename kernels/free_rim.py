@@ -268,7 +268,7 @@ def pull_rim_f(
     n = normal[k]
     along = wp.cross(chord(rim, k), n)
     width = wp.length(along)
-    sigma = tension - slope * film[k][0]
+    sigma = wp.max(tension - slope * film[k][0], 0.0)
     m = inertia[k]
     push = m * (u[k] - flow[k]) + dt * (2.0 * sigma * along + m * gravity)
     push -= wp.dot(push, n) * n

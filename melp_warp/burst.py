@@ -228,7 +228,7 @@ class Burst:
         m = sim.scene.material
         sim.stepper.fields.update()
         gamma, eta = (float(a.numpy()[i]) for a in (sim.stepper.fields.gamma, sim.stepper.fields.eta))
-        speed = np.sqrt(2.0 * (m.tension - film.slope * gamma) / (m.density * eta))
+        speed = np.sqrt(2.0 * max(m.tension - film.slope * gamma, 0.0) / (m.density * eta))
         centre = place - ((place - x[i]) @ normal) * normal
         if np.linalg.norm(centre - x[i]) > film.spacing:
             centre = x[i]

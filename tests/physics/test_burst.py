@@ -340,3 +340,15 @@ def test_circulation_is_restored_in_a_bubble_with_a_hole():
     for _ in range(4):
         simulation.advance_frame()  # raises where the solve does not end
     assert simulation.diagnostics()["rims"] == 1
+
+
+def test_a_rim_is_not_pushed_back_by_an_elastic_film():
+    """Before it surfactant gets so dense that no tension is left: nothing pulls then, and waves stand still."""
+    material = Material(thickness=400e-9, surfactant=2.5e-5)
+    scene = film(material, (Puncture((0.0, 0.05, 0.0), 0.0),), 400, 1, shape=Cap(0.05), cross=0.8)
+    simulation = Simulation(scene)
+    for _ in range(4):
+        simulation.advance_frame()
+    rim = simulation.state.f
+    assert rim.film.numpy()[:, 0].max() > material.tension / (material.rt * material.surfactant)
+    assert np.isfinite(rim.growth.numpy()).all()
