@@ -361,6 +361,8 @@ def _run(options: argparse.Namespace) -> int:
         "budget": False if options.no_budget else None,
         "punctures": ";".join(options.puncture) if options.puncture else None,
     }
+    for text in options.puncture or ():
+        Puncture.parse(text)
     start = None
     if options.resume or options.branch is not None:
         start = runner.start_from(out if options.resume else options.branch)

@@ -358,6 +358,8 @@ def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tup
     gas[:, [GAS_SLOTS.index(name) for name in ("increment", "offset")]] = 0.0
     state.gas.assign(gas)
     state.motion.zero_()
+    if state.border is not None:
+        wp.copy(state.border, before.border)
     film = film_of(scene, state, film.spacing, film.room)
     stepper = make_stepper(film, state)
     if stored.labels and "memory.area" in stored.arrays:

@@ -398,6 +398,7 @@ class Simulation:
     def _change_regions(self) -> None:
         """Let regions pop, merge and appear whose time has come; the run is set up anew for what is left."""
         while self.burst is not None and (change := self.burst.due()) is not None:
+            self.stepper.settle()
             stored = Stored.of(self.state)
             change(stored)
             self.stepper.remark(self.notices)
@@ -557,6 +558,7 @@ class Simulation:
             **{name: [] for name in ("regions", "volumes", "pressures", "gas")},
             "covered": None,
             "spilled": self.spilled,
+            **(self._border_diagnostics() if self.state.border is not None else {}),
             **(self.burst.diagnostics() if self.burst is not None else {}),
             **dict.fromkeys(("mass", "surfactant"), 0.0),
             "momentum": [0.0, 0.0, 0.0],

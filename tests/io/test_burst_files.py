@@ -102,6 +102,8 @@ def test_a_run_goes_on_in_the_middle_of_a_burst(tmp_path):
     ("options", "told"),
     [
         (("--puncture", "1,2"), "--puncture must be x,y,z,t or x,y,z,t,radius, in m and s, got '1,2'"),
+        (("--puncture", ""), "--puncture must be x,y,z,t"),
+        (("--puncture", "0,0,0,0;0,0,0,1"), "--puncture must be x,y,z,t"),
         (("--puncture", "0,0,0,-1"), "time of a puncture must be at least 0 s, the start"),
         (("--puncture", "0,0,0,0,0"), "radius of a puncture must be above 0 m"),
         (("--puncture", "0,0,0,inf"), "puncture must be finite numbers"),

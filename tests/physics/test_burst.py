@@ -45,7 +45,8 @@ def bubble(e_count=700, l_per_e=4, breakup=0.0, air="none", **more):
 def liquid(simulation):
     """Liquid in the film, its rims, drops and the frame, kg."""
     line = simulation.diagnostics()
-    return line["mass"] + line["rim_mass"] + line["drop_mass"] + line["frame_mass"]
+    held = line["mass"] + line["rim_mass"] + line["drop_mass"] + line["frame_mass"]
+    return held + line.get("border_mass", 0.0)
 
 
 def cut():
@@ -140,6 +141,20 @@ def test_all_liquid_of_a_film_goes_to_its_frame():
     line = simulation.diagnostics()
     assert simulation.gone and line["e_count"] == 0 and len(simulation.particles("l").points) == 0
     assert line["frame_mass"] + line["drop_mass"] == pytest.approx(before, rel=1e-5)
+
+
+def test_what_a_frame_has_collected_before_stays_there():
+    """A film under a thousand times its weight falls into its frame; then it is punctured."""
+    scene = film(Material(thickness=400e-9), (), 400, 4)
+    object.__setattr__(scene, "fps", 1000.0)
+    object.__setattr__(scene, "surroundings", Surroundings(gravity=(0.0, -1000.0, 0.0)))
+    object.__setattr__(scene, "bursting", Bursting((Puncture((0.0, 0.0, 0.0), 0.0025),), breakup=0.0))
+    simulation = Simulation(scene)
+    before = liquid(simulation)
+    for _ in range(8):
+        simulation.advance_frame()
+        assert liquid(simulation) == pytest.approx(before, rel=1e-5)
+    assert simulation.diagnostics()["border_mass"] > 0.01 * before
 
 
 def test_a_rim_runs_around_a_bubble():
