@@ -12,7 +12,7 @@ import numpy as np
 
 from melp_warp.bursting import Puncture
 from melp_warp.errors import SimulationError
-from melp_warp.fits import nearest_distance, squares
+from melp_warp.fits import connected, nearest_distance, squares
 from melp_warp.frame import ParticleFrame
 from melp_warp.free_rim import REACH, RIM_CFL, SIGHT
 from melp_warp.kernels import free_rim as kr
@@ -340,7 +340,7 @@ class Burst:
         near = (j < n) & live[i]
         i, j = i[near], j[near]
         near = live[j] & (((x[i] - x[j]) ** 2).sum(axis=1) < (PIECE * spacing) ** 2)
-        piece = _pieces(n, i[near], j[near])
+        piece = connected(n, i[near], j[near])
         points = np.concatenate([rims.point["x"][chain.index] for chain in rims.chains] or [np.zeros((0, 3))])
         held = np.zeros(n, dtype=bool)
         if len(points):
@@ -495,15 +495,3 @@ def _ring(start: np.ndarray, end: np.ndarray, normal: np.ndarray, radius: float,
     side = radius * second
     parts = [end + cap, end + side - steps * way, start - cap, start - side + steps * way]
     return np.concatenate(parts)
-
-
-def _pieces(n: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """[n] least index of those that each is connected with by pairs i, j, given both ways."""
-    piece = np.arange(n)
-    while True:
-        least = piece.copy()
-        np.minimum.at(least, i, piece[j])
-        least = least[least]
-        if np.array_equal(least, piece):
-            return piece
-        piece = least

@@ -151,6 +151,18 @@ def meet(spheres: Sequence[Sphere], x: np.ndarray, rank: int, reach: float) -> n
     return found[np.linalg.norm(found - x, axis=1) <= reach]
 
 
+def connected(n: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """[n] least index of those that each is connected with by pairs i, j, given both ways."""
+    piece = np.arange(n)
+    while True:
+        least = piece.copy()
+        np.minimum.at(least, i, piece[j])
+        least = least[least]
+        if np.array_equal(least, piece):
+            return piece
+        piece = least
+
+
 def squares(x: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Squared distances of x [n, 3] from points [m, 3]. [n, m]."""
     return ((x[:, None] - points[None]) ** 2).sum(axis=2)

@@ -101,8 +101,8 @@ class Cache:
     def film(self, frame: int) -> Surface | ParticleFrame:
         """What there is of a frame to draw: its meshes, or ones that are made of its particles, or these alone."""
         from melp_warp import apart
-        from melp_warp.mesh import FOLDED, make_meshes, thin_out
-        from melp_warp.outline import clear_of_rims, outlines
+        from melp_warp.mesh import FOLDED, thin_out
+        from melp_warp.outline import mesh_torn
         from melp_warp.surface import Surface
 
         if self._whole and not self._particles:
@@ -119,7 +119,7 @@ class Cache:
             e = apart.read_frame(self.folder, frame, "FilmE") if self._with_e else thin_out(film, self._l_per_e)
             many = film
         try:
-            meshes, problems = make_meshes(clear_of_rims(e, beads), many, outlines(self._rims, beads, e))
+            meshes, problems = mesh_torn(e, many, self._rims, beads)
         except InputError as error:  # particles without order
             meshes, problems = {}, [str(error)]
         holes = [problem for problem in problems if not problem.endswith(FOLDED)]

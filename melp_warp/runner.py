@@ -438,13 +438,10 @@ class _Output:
 
     def _meshes(self, sets: Mapping[str, ParticleFrame]) -> tuple[dict, list[str]]:
         """The meshes of the present frame by prim, and what could not be closed."""
-        from melp_warp.outline import clear_of_rims, outlines
         from melp_warp.usd import frame_kind
 
         plan, e = self._plan, sets["e"]
-        beads = sets.get("rims")
-        rims, near = outlines(self._rims, beads, e), clear_of_rims(e, beads)
-        made, problems = _make_surfaces(near, sets.get("l"), rims, plan.triangles, plan.whole)
+        made, problems = _make_surfaces(e, sets.get("l"), self._rims, plan.triangles, plan.whole, sets.get("rims"))
         return {prim: made.get(prim) or frame_kind(prim).empty(e.origin) for prim in self._surfaces}, problems
 
     def _log(self, line: Mapping) -> None:
@@ -566,7 +563,6 @@ def mesh_cache(folder: Path, triangles: int | None = None, whole: bool = False) 
     _check_triangles(triangles)
     _start_warp()
     from melp_warp.apart import read_frame, read_root, try_frame
-    from melp_warp.outline import clear_of_rims, outlines
     from melp_warp.usd import FREE_RIMS, add_meshes, list_frames
 
     frames = list_frames(folder)
@@ -587,8 +583,7 @@ def mesh_cache(folder: Path, triangles: int | None = None, whole: bool = False) 
         lagrangian = read_frame(folder, frame) if root["with_l"] else None
         e = read_frame(folder, frame, source)
         beads = read_frame(folder, frame, FREE_RIMS) if FREE_RIMS in root["prims"] else None
-        edges = outlines(rims, beads, e)
-        meshes, found = _make_surfaces(clear_of_rims(e, beads), lagrangian, edges, triangles, whole)
+        meshes, found = _make_surfaces(e, lagrangian, rims, triangles, whole, beads)
         problems.extend(f"frame {frame}: {problem}" for problem in found)
         return meshes
 
@@ -604,17 +599,22 @@ def _mesh_prims(regions: Sequence[int], whole: bool) -> list[str]:
 
 
 def _make_surfaces(
-    e: ParticleFrame, lagrangian: ParticleFrame | None, rims: Sequence, triangles: int | None, whole: bool
+    e: ParticleFrame,
+    lagrangian: ParticleFrame | None,
+    rims: Sequence,
+    triangles: int | None,
+    whole: bool,
+    beads: ParticleFrame | None,
 ) -> tuple[dict, list[str]]:
     """The meshes of a frame by prim, and what could not be closed."""
-    from melp_warp.mesh import make_meshes
+    from melp_warp.outline import mesh_torn
     from melp_warp.usd import WHOLE, surface_prim
     from melp_warp.whole import make_whole
 
     if whole:
         mesh, problems = make_whole(e, lagrangian, rims, triangles)
         return {WHOLE: mesh}, problems
-    made, problems = make_meshes(e, lagrangian, rims, triangles)
+    made, problems = mesh_torn(e, lagrangian, rims, beads, triangles)
     return {surface_prim(region): mesh for region, mesh in made.items()}, problems
 
 

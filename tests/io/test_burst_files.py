@@ -7,10 +7,12 @@ import pytest
 
 from melp_warp import cli
 from melp_warp.check import check_cache
-from melp_warp.outline import outlines
+from melp_warp.frame import ParticleFrame
+from melp_warp.outline import mesh_torn, outlines
 from melp_warp.registry import load_scene
 from melp_warp.usd import DROPS, FREE_RIMS, list_frames, read_frame, read_metadata
 
+CORNERS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]])
 SMALL = ["--set", "e_count=400", "l_per_e=4", "breakup=5", "--quiet", "--no-budget"]
 
 
@@ -62,6 +64,34 @@ def test_the_film_ends_at_its_rims(burst):
     radius = np.linalg.norm(rims[:, :2], axis=1)
     assert np.linalg.norm(film[:, :2], axis=1).min() > 0.97 * radius.min()
     assert lines(burst)[frame]["mesh_problems"] == []
+
+
+def test_a_film_in_pieces_is_meshed_piece_by_piece():
+    """Two squares with a gap between them: all E are in the one mesh, whose liquid is theirs."""
+    side = (np.arange(12) + 0.5) / 12 * 0.1
+    grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    flat_grid, away = np.pad(grid, ((0, 0), (0, 1))), np.array([0.2, 0.0, 0.0])
+    x = np.concatenate([flat_grid, flat_grid + away])
+    n, width = len(x), np.sqrt(4.0 / np.pi) * 0.1 / 12
+    flat = {"points": x.astype(np.float32), "velocities": np.zeros((n, 3), np.float32), "ids": np.arange(n)}
+    flat |= {"widths": np.full(n, width, np.float32), "normals": np.tile(np.float32([0, 0, 1]), (n, 1))}
+    flat |= {"thickness": np.full(n, 400.0, np.float32), "region": np.zeros(n, np.int32)}
+    e = ParticleFrame(**flat, black_film=np.zeros(n, np.int32))
+    turn = np.concatenate(
+        [np.linspace(a, b, 40, endpoint=False) for a, b in zip(CORNERS, np.roll(CORNERS, -1, 0), strict=True)]
+    )
+    loops = np.concatenate([turn, turn + away])
+    k = len(loops)
+    beads = {"points": loops.astype(np.float32), "velocities": np.zeros((k, 3), np.float32), "ids": np.arange(k)}
+    beads |= {"widths": np.full(k, 1e-4, np.float32), "normals": np.tile(np.float32([0, 0, 1]), (k, 1))}
+    beads |= {"thickness": np.full(k, 1e5, np.float32), "region": np.repeat(np.int32([0, 1]), k // 2)}
+    meshes, problems = mesh_torn(e, None, [], ParticleFrame(**beads, black_film=np.zeros(k, np.int32)))
+    assert problems == []
+    a, b, c = (meshes[0].points.astype(float)[meshes[0].faces[:, i]] for i in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    assert area.sum() == pytest.approx(0.02, rel=0.01)
+    assert (area * meshes[0].thickness[meshes[0].faces].mean(axis=1)).sum() == pytest.approx(0.02 * 400.0, rel=0.01)
+    assert meshes[0].points[:, 0].max() > 0.25 and meshes[0].points[:, 0].min() < 0.05
 
 
 def test_slow_motion(burst):
