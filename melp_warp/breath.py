@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from melp_warp.state import GAS_SLOTS
+from melp_warp.state import AMOUNT, AREA, GAUGE, VOLUME
 
 if TYPE_CHECKING:
     from melp_warp.simulation import Simulation
-
-VOLUME, GAUGE, AMOUNT, AREA = (GAS_SLOTS.index(name) for name in ("volume", "gauge_pressure", "amount", "area"))
 
 CONTRACTION = 0.6
 """Share of an opening that a jet through it fills (sharp edge)."""

@@ -53,6 +53,12 @@ class Burst:
         return self._sim.film.features.holed and not self._sim.gone
 
     @property
+    def _rims(self) -> Rims:
+        """The rims as they are now (reads back)."""
+        rim = self._sim.state.f
+        return Rims.of({f"f.{name}": getattr(rim, name).numpy() for name in (*POINT, "after", "before")})
+
+    @property
     def pending(self) -> list[Puncture]:
         """Punctures to come, in order of time."""
         return list(self.scene.bursting.punctures[self._sim.state.course.punctured :])
@@ -113,12 +119,8 @@ class Burst:
 
     def _meeting(self) -> bool:
         """Whether rims have met since they were last put in order."""
-        sim, rim = self._sim, self._sim.state.f
-        stored = {f"f.{name}": getattr(rim, name).numpy() for name in (*POINT, "after", "before")}
-        x = stored["f.x"]
-        if sim.film.rim is not None and self._at_frame(x).any():
-            return True
-        return bool(Rims.of(stored).meet(MEET * sim.film.spacing).any())
+        rims = self._rims
+        return bool(self._at_frame(rims.point["x"]).any() or rims.meet(MEET * self._sim.film.spacing).any())
 
     def _thinnest(self) -> np.ndarray | None:
         """Place of the thinnest film, where it is thinner than it holds. [3], m."""
@@ -140,8 +142,7 @@ class Burst:
     def diagnostics(self) -> dict:
         """What a line of the log says of holes: liquid (kg) by where it is, and the rims."""
         state = self._sim.state
-        rim = state.f
-        rims = Rims.of({f"f.{name}": getattr(rim, name).numpy() for name in (*POINT, "after", "before")})
+        rim, rims = state.f, self._rims
         there = {"e": state.e.behind, "l": state.l.behind if state.l else None} if self._holed else {}
         count = {f"{kind}_count": int((a.numpy() == 0).sum()) for kind, a in there.items() if a is not None}
         area = {}
@@ -173,8 +174,7 @@ class Burst:
             x, u, mass = (a.numpy().astype(np.float64) for a in (drops.x, drops.u, drops.mass))
             width = 2.0 * np.cbrt(3.0 * mass / (4.0 * np.pi * self.scene.material.density))
             return _beads(x + shift, u, width, np.tile([0.0, 1.0, 0.0], (len(x), 1)), sim.origin, sim.state.ids["d"])
-        rim = sim.state.f
-        rims = Rims.of({f"f.{name}": getattr(rim, name).numpy() for name in (*POINT, "after", "before")})
+        rims = self._rims
         parts = [rims.beads(chain, self.scene.material.density, sim.film.spacing) for chain in rims.chains]
         if not parts:
             return ParticleFrame.empty(tuple(sim.origin.tolist()))
@@ -288,13 +288,10 @@ class Burst:
         rims.even(POINTS * spacing, rng)
         rims.store(stored.arrays)
         sim.state.course.run = 0.0
-        if not rims.chains or self._live(stored) < FEWEST:
+        if not rims.chains or (stored.arrays["e.behind"] == 0).sum() < FEWEST:
             self._finish(stored, rims)
             return
         self._drop_film(stored)
-
-    def _live(self, stored: Stored) -> int:
-        return int((stored.arrays["e.behind"] == 0).sum())
 
     def _break(self, stored: Stored, rims: Rims, rng: np.random.Generator) -> None:
         """Let the points whose waves have grown break into drops, and go on empty."""
@@ -305,8 +302,8 @@ class Burst:
         broken = (point["growth"] > limit * point["limit"]) & (point["mass"] > 0.0)
         if not broken.any():
             return
-        for run in rims.runs(broken):
-            self._spray(stored, [rims.thread(run)])
+        for thread in rims.threads(rims.runs(broken)):
+            self._spray(stored, [thread])
         for name in (*SUMS, "growth"):
             point[name][broken] = 0.0
         point["limit"][broken] = breaking_points(int(broken.sum()), rng)
@@ -316,8 +313,8 @@ class Burst:
         if not len(met):
             return
         arrays, place = stored.arrays, rims.point["x"][met]
-        kind, flag = ("l", "l.behind") if "l.x" in arrays else ("e", "e.swept")
-        for name in {flag, "e.behind"}:
+        kind, flag = _carriers(stored)
+        for name in (flag, "e.behind"):
             which = name[0]
             there = np.flatnonzero(arrays[name] == 0)
             away = nearest_distance(arrays[f"{which}.x"][there], place)
@@ -352,10 +349,8 @@ class Burst:
         """Take the film of the E of the mask `lost` [n_e] away; its liquid."""
         arrays = stored.arrays
         arrays["e.behind"][lost] = 1
-        if "l.x" in arrays:
-            kind, flag, there = "l", "l.behind", lost[self._sim.stepper.lists.le.home.numpy()]
-        else:
-            kind, flag, there = "e", "e.swept", lost
+        kind, flag = _carriers(stored)
+        there = lost[self._sim.stepper.lists.le.home.numpy()] if kind == "l" else lost
         there = there & (arrays[flag] == 0)
         arrays[flag][there] = 1
         x, u, mass, amount = (
@@ -367,9 +362,7 @@ class Burst:
     def _blind(self, stored: Stored, x: np.ndarray) -> np.ndarray:
         """[n] whether points have no film before them any more."""
         there = stored.arrays["e.x"][: self._sim.film.n_e][stored.arrays["e.behind"] == 0]
-        return (
-            nearest_distance(x, there) > SIGHT * self._sim.film.spacing if len(there) else np.ones(len(x), dtype=bool)
-        )
+        return nearest_distance(x, there) > SIGHT * self._sim.film.spacing
 
     def _at_frame(self, x: np.ndarray) -> np.ndarray:
         """[n] whether points have come to the frame of an open film."""
@@ -433,10 +426,10 @@ class Burst:
     def _finish(self, stored: Stored, rims: Rims) -> None:
         """The last of the film and of its rims: into the frame where there is one, else into drops."""
         arrays = stored.arrays
-        kind = "l" if "l.x" in arrays else "e"
-        left = arrays[f"{kind}.{'behind' if kind == 'l' else 'swept'}"] == 0
+        kind, flag = _carriers(stored)
+        left = arrays[flag] == 0
         mass = arrays[f"{kind}.mass"][left].astype(np.float64)
-        threads = [rims.thread(chain.index) for chain in rims.chains]
+        threads = rims.threads(chain.index for chain in rims.chains)
         if self._sim.film.rim is not None:
             self._sim.state.course.rest += float(mass.sum()) + float(sum(one.mass.sum() for one in threads))
         else:
@@ -451,6 +444,11 @@ class Burst:
             arrays[name] = arrays[name][:0]
         arrays.pop("b.mirror", None)
         stored.drop_region(0)
+
+
+def _carriers(stored: Stored) -> tuple[str, str]:
+    """The particles that hold the liquid, and what says of which a rim has taken it."""
+    return ("l", "l.behind") if "l" in stored.kinds else ("e", "e.swept")
 
 
 def keep_e(stored: Stored, kept: np.ndarray) -> None:

@@ -151,6 +151,18 @@ def meet(spheres: Sequence[Sphere], x: np.ndarray, rank: int, reach: float) -> n
     return found[np.linalg.norm(found - x, axis=1) <= reach]
 
 
+def turned(index: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What lies along a closed curve, and a mask of it, from the first outside on: no span then runs over the end."""
+    turn = int(np.argmin(inside))
+    return np.roll(index, -turn, axis=0), np.roll(inside, -turn)
+
+
+def spans(inside: np.ndarray) -> list[tuple[int, int]]:
+    """First and last + 1 of those in a mask that follow each other, span by span."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def connected(n: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     """[n] least index of those that each is connected with by pairs i, j, given both ways."""
     piece = np.arange(n)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from melp_warp.errors import InputError
-from melp_warp.fits import close_pairs, connected, nearest_distance, squares
+from melp_warp.fits import close_pairs, connected, nearest_distance, spans, squares, turned
 from melp_warp.frame import MeshFrame, ParticleFrame
 from melp_warp.mesh import make_meshes
 from melp_warp.surface import next_beads
@@ -15,18 +15,8 @@ from melp_warp.surface import next_beads
 NEAR = 1.2
 """Distance from an E, in widths of one, within which a wire still holds film."""
 
-
 CLEAR = 0.3
 """Distance of the vertices of a mesh from its free rims, in widths of an E: nearer ones make folds."""
-
-
-def clear_of_rims(e: ParticleFrame, beads: ParticleFrame | None) -> ParticleFrame:
-    """The E that are not too near a free rim to be vertices of a mesh that ends there."""
-    if beads is None or not len(beads.points) or not len(e.points):
-        return e
-    away = nearest_distance(e.points, beads.points.astype(np.float64))
-    kept = away > CLEAR * float(e.widths.mean())
-    return _some(e, kept)
 
 
 APART = 1.8
@@ -54,7 +44,7 @@ def mesh_torn(
     """
     if beads is None or not len(beads.points) or not len(e.points):
         return make_meshes(e, lagrangian, rims, triangles)
-    film, curves = clear_of_rims(e, beads), outlines(rims, beads, e)
+    film, curves = _clear_of_rims(e, beads), outlines(rims, beads, e)
     piece, region = _pieces(film), int(e.region[0])
     made, problems = [], []
     for k in np.unique(piece):
@@ -72,6 +62,13 @@ def mesh_torn(
         problems += found if sound else [f"region {region}: a piece of {len(part.points)} E makes no mesh"]
         made += sound.values()
     return ({region: _merged(made)} if made else {}), problems
+
+
+def _clear_of_rims(e: ParticleFrame, beads: ParticleFrame) -> ParticleFrame:
+    """The E that are not too near a free rim to be vertices of a mesh that ends there."""
+    away = nearest_distance(e.points, beads.points.astype(np.float64))
+    kept = away > CLEAR * float(e.widths.mean())
+    return _some(e, kept)
 
 
 def _some(frame: ParticleFrame, kept: np.ndarray) -> ParticleFrame:
@@ -130,10 +127,8 @@ def outlines(rims: Sequence[np.ndarray], beads: ParticleFrame | None, e: Particl
         if held.all():
             whole.append(rim)
         elif held.any():
-            turn = int(np.argmin(held))
-            rim, held = np.roll(rim, -turn, axis=0), np.roll(held, -turn)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int), [0]])))
-            open_runs += [rim[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+            rim, held = turned(rim, held)
+            open_runs += [rim[start:stop] for start, stop in spans(held)]
     return whole + _joined(open_runs)
 
 

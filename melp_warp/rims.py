@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+
+from melp_warp.fits import spans, turned
 
 FEWEST = 4
 """Points of the shortest rim; E of the smallest film."""
@@ -144,16 +146,17 @@ class Rims:
                 yield index
                 continue
             if chain.loop:
-                turn = int(np.argmin(inside))
-                index, inside = np.roll(index, -turn), np.roll(inside, -turn)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-            for start, stop in zip(edges[::2], edges[1::2], strict=True):
+                index, inside = turned(index, inside)
+            for start, stop in spans(inside):
                 yield index[start:stop]
 
-    def thread(self, index: np.ndarray) -> Thread:
-        """The liquid of points that follow each other."""
-        point, half = self.point, self.halves()
-        return Thread(*(point[name][index] for name in ("x", "u", "mass", "surfactant")), half[index])
+    def threads(self, indices: Iterable[np.ndarray]) -> list[Thread]:
+        """The liquid of points that follow each other, run by run."""
+        half = self.halves()
+        return [self._thread(index, half) for index in indices]
+
+    def _thread(self, index: np.ndarray, half: np.ndarray) -> Thread:
+        return Thread(*(self.point[name][index] for name in ("x", "u", "mass", "surfactant")), half[index])
 
     def beads(self, chain: Chain, density: float, spacing: float) -> tuple[np.ndarray, ...]:
         """Places, velocities, widths and normals along a chain, a radius apart, at least `BEADS` in a spacing."""
@@ -225,10 +228,10 @@ class Rims:
         Returns:
             The liquid of the points that went.
         """
-        threads = [self.thread(run) for run in self.runs(liquid)]
+        half = self.halves()
+        threads = [self._thread(run, half) for run in self.runs(liquid)]
         if not gone.any():
             return threads
-        half = self.halves()
         runs, whole = [], []
         for chain in self.chains:
             if not gone[chain.index].any():
@@ -239,10 +242,8 @@ class Rims:
             if not inside.any():
                 continue
             if chain.loop:
-                turn = int(np.argmax(~inside))
-                index, inside = np.roll(index, -turn), np.roll(inside, -turn)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-            for start, stop in zip(edges[::2], edges[1::2], strict=True):
+                index, inside = turned(index, inside)
+            for start, stop in spans(inside):
                 free = [
                     (start > 0 or chain.loop) and bool(liquid[index[start - 1]]),
                     (stop < len(index) or chain.loop) and bool(liquid[index[stop % len(index)]]),
@@ -254,9 +255,7 @@ class Rims:
             if len(chain.index) >= FEWEST or (not chain.loop and len(chain.index) > 1):
                 self.chains.append(chain)
             else:
-                point = self.point
-                names = ("x", "u", "mass", "surfactant")
-                threads.append(Thread(*(point[name][chain.index] for name in names), half[chain.index]))
+                threads.append(self._thread(chain.index, half))
         return threads
 
     def _join(self, runs: list[tuple[np.ndarray, bool, bool]], reach: float) -> list[Chain]:
@@ -282,11 +281,8 @@ class Rims:
                 k = after.get(k, -1)
             if parts:
                 index = np.concatenate(parts)
-                first, last = (
-                    runs[start][1],
-                    k == start or bool(np.linalg.norm(x[index[-1]] - x[index[0]]) < 2.0 * reach),
-                )
-                chains.append(Chain(index, k == start or (first and last)))
+                near = bool(np.linalg.norm(x[index[-1]] - x[index[0]]) < 2.0 * reach)
+                chains.append(Chain(index, k == start or (runs[start][1] and near)))
         return chains
 
     def even(self, length: float, rng: np.random.Generator) -> None:

@@ -19,7 +19,8 @@ from melp_warp.scene import Scene
 from melp_warp.shapes import Rim, Samples
 from melp_warp.single_layer import make_stepper
 from melp_warp.state import (
-    GAS_SLOTS,
+    INCREMENT,
+    OFFSET,
     BoundaryState,
     Course,
     DropState,
@@ -355,7 +356,7 @@ def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tup
     kept = {name: getattr(before.course, name) for name in stays}
     state.course = Course(**kept, crossed=state.time, mixed=state.time, labels=stored.labels, holed=True)
     gas = state.gas.numpy()
-    gas[:, [GAS_SLOTS.index(name) for name in ("increment", "offset")]] = 0.0
+    gas[:, [INCREMENT, OFFSET]] = 0.0
     state.gas.assign(gas)
     state.motion.zero_()
     if state.border is not None:

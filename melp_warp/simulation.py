@@ -30,7 +30,7 @@ from melp_warp.notices import Notices
 from melp_warp.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, set_up_holed, unresolved
 from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
 from melp_warp.single_layer import make_stepper
-from melp_warp.state import GAS_SLOTS, Snapshot, State
+from melp_warp.state import AMOUNT, AREA, Snapshot, State
 from melp_warp.stepper import STAGES
 from melp_warp.surgery import Stored
 
@@ -51,8 +51,6 @@ FASTEST = 100.0
 
 MOST_ROOM = 12.0
 """Room of neighbour lists, over what they need when they are made, at which particles are taken to have clumped."""
-
-AREA = GAS_SLOTS.index("area")
 
 
 def find_device(name: str) -> wp.Device:
@@ -125,7 +123,7 @@ class Simulation:
         if self.events is not None:
             self.events.begin(course)
         course.reach, course.speed = self._longest_way(), self._fastest_wave()
-        course.gas = float(self.state.gas.numpy()[0, 2]) if self.breath is not None else 0.0
+        course.gas = float(self.state.gas.numpy()[0, AMOUNT]) if self.breath is not None else 0.0
         self._look_at_shape()
         if features.budget:
             course.ledger = Ledger()

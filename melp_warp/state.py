@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from melp_warp.budget import Ledger
 
 GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area", "offset")
+VOLUME, GAUGE, AMOUNT, INCREMENT, AREA, OFFSET = range(len(GAS_SLOTS))
 
 BORDER_SLOTS = ("mass", "surfactant", "impulse_x", "impulse_y", "impulse_z", "energy_motion", "energy_height")
 

@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from melp_warp.state import GAS_SLOTS, State
-
-VOLUME, GAUGE, AMOUNT = (GAS_SLOTS.index(name) for name in ("volume", "gauge_pressure", "amount"))
+from melp_warp.state import AMOUNT, GAS_SLOTS, GAUGE, VOLUME, State
 
 AMOUNTS = ("mass", "surfactant", "circulation")
 """What particles hold that adds up."""
