@@ -3,8 +3,8 @@
 import warp as wp
 
 from melp_warp.kernels.mls import Quadric
+from melp_warp.kernels.native import gradient_row, height_over_fits
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import gradient_row, height_over_fits
 from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})

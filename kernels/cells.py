@@ -3,8 +3,8 @@
 import warp as wp
 
 from melp_warp.kernels.mls import Quadric
+from melp_warp.kernels.native import cut_cell, sum_quotients
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import cut_cell, sum_quotients
 from melp_warp.kernels.sph import kernel_w, tangent_basis
 
 wp.set_module_options({"enable_backward": False})

@@ -2,9 +2,9 @@
 
 import warp as wp
 
+from melp_warp.kernels.native import Blocks, gather_amount, sum_row
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_parts
-from melp_warp.kernels.rows import Blocks, gather_amount, sum_row
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})

@@ -4,9 +4,9 @@ import warp as wp
 
 from melp_warp.kernels.contact import Contact
 from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
+from melp_warp.kernels.native import sum_vectors, weigh_row
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_total
-from melp_warp.kernels.rows import sum_vectors, weigh_row
 from melp_warp.kernels.sph import tangential
 
 wp.set_module_options({"enable_backward": False})

@@ -3,8 +3,7 @@
 import warp as wp
 
 from melp_warp.kernels.mls import fit_height, fitted_curvature, make_quadric, slope_normal
-from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import (
+from melp_warp.kernels.native import (
     Quadric,
     cloud_moments,
     gradient_row,
@@ -16,6 +15,7 @@ from melp_warp.kernels.rows import (
     weigh_row_laplacian,
     write_row_gradient,
 )
+from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangent_basis
 
 wp.set_module_options({"enable_backward": False})

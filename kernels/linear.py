@@ -8,9 +8,9 @@ from typing import Any
 
 import warp as wp
 
+from melp_warp.kernels.native import advance_entries, sum_differences, sum_products, sum_row, turn_entries
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_total
-from melp_warp.kernels.rows import advance_entries, sum_differences, sum_products, sum_row, turn_entries
 
 wp.set_module_options({"enable_backward": False})
 

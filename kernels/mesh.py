@@ -7,8 +7,8 @@ from j to the entry before i in the ring of j. What is left to do is to make all
 
 import warp as wp
 
+from melp_warp.kernels.native import cut_cell
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import cut_cell
 from melp_warp.kernels.sph import tangent_basis
 
 wp.set_module_options({"enable_backward": False})

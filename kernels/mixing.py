@@ -2,8 +2,8 @@
 
 import warp as wp
 
+from melp_warp.kernels.native import Blocks
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import Blocks
 
 wp.set_module_options({"enable_backward": False})
 

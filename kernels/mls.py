@@ -2,8 +2,8 @@
 
 import warp as wp
 
+from melp_warp.kernels.native import Quadric, factor_fit, fit_moments, solve_fit, vec5
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import Quadric, factor_fit, fit_moments, solve_fit, vec5
 from melp_warp.kernels.sph import tangent_basis
 
 wp.set_module_options({"enable_backward": False})

@@ -15,7 +15,7 @@ class Neighbors:
     """Row i holds index[start[i]:stop[i]].
 
     A kernel whose row is `rows.first + wp.tid()` and that writes that row alone is shared by CPU cores, see
-    `melp_warp.launch`: each is given its own `first`, which is 0 elsewhere.
+    `melp_warp.device.launch`: each is given its own `first`, which is 0 elsewhere.
     """
 
     start: wp.array(dtype=wp.int32)
@@ -85,7 +85,7 @@ def reset_travel(which: int, travel: wp.array(dtype=float)):
 
 @wp.kernel
 def add_travel(part: wp.array(dtype=float), slot: int, travel: wp.array(dtype=float)):
-    """Add the largest part to the distances moved; slot 2 for E, 3 for L. See `melp_warp.neighbors.NeighborLists`."""
+    """Add the largest part to the distances moved; slot 2 for E, 3 for L. See `stages.neighbors.NeighborLists`."""
     far = float(0.0)
     for c in range(part.shape[0]):
         far = wp.max(far, part[c])

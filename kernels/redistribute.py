@@ -3,9 +3,9 @@
 import warp as wp
 
 from melp_warp.kernels.mls import fit_height
+from melp_warp.kernels.native import away_from_near, change_over_fit, gradient_row, solve_fit, vec5
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_parts
-from melp_warp.kernels.rows import away_from_near, change_over_fit, gradient_row, solve_fit, vec5
 from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})

@@ -3,8 +3,8 @@
 import warp as wp
 
 from melp_warp.kernels.boundary import inside_rim
+from melp_warp.kernels.native import weigh_row
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import weigh_row
 from melp_warp.kernels.sph import kernel_w, laplacian_weight, tangential
 
 wp.set_module_options({"enable_backward": False})

@@ -2,8 +2,8 @@
 
 import warp as wp
 
+from melp_warp.kernels.native import Blocks, gather_blocks, mat68, moment_row, vec16, weigh_row, write_pack
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import Blocks, gather_blocks, mat68, moment_row, vec16, weigh_row, write_pack
 from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from melp_warp.scene import Scene
     from melp_warp.shapes import Disc, Ellipsoid, Rectangle, Sphere, StarShaped
     from melp_warp.simulation import Simulation
-    from melp_warp.usd import CacheWriter, list_frames, read_frame
+    from melp_warp.usd.cache import CacheWriter, list_frames, read_frame
 
 _HOMES = {
     "cluster": ("Bubble", "Cluster"),
@@ -68,8 +68,8 @@ def __getattr__(name: str) -> object:
     raise AttributeError(f"melp_warp has no {name!r}")
 
 
-if os.environ.get("MELP_WARP_PRECISION") == "64":  # melp_warp.environment refuses others
-    from melp_warp import double
+if os.environ.get("MELP_WARP_PRECISION") == "64":  # melp_warp.device.environment refuses others
+    from melp_warp.device import float64 as double
 
     double.install()
     __version__ += "+float64"

@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = _parser().parse_args(words)
         if getattr(options, "verbose", False):
-            from melp_warp.environment import announce
+            from melp_warp.device.environment import announce
 
             announce(True)
         code = options.command(options)
@@ -341,12 +341,12 @@ def _add_tradeoff(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from melp_warp import runner
     from melp_warp.bursting import Puncture
+    from melp_warp.program import runner
+    from melp_warp.program.resume import numbers_of, options_of
+    from melp_warp.program.room import Room, parse_size
     from melp_warp.quality import find_quality
     from melp_warp.registry import load_scene
-    from melp_warp.resume import numbers_of, options_of
-    from melp_warp.room import Room, parse_size
 
     script = load_scene(options.scene)
     quality, given = find_quality(options.quality), script.parameters.parse(_settings(options))
@@ -451,8 +451,8 @@ def _shown(value: object) -> str:
 
 
 def _preview(options: argparse.Namespace) -> int:
-    from melp_warp import runner
-    from melp_warp.pictures import Shot
+    from melp_warp.preview.pictures import Shot
+    from melp_warp.program import runner
 
     given = vars(options) | {"width": options.size[0], "height": options.size[1]}
     require(options.frame is None or options.frames is None, "--frames", options.frames, "left out with --frame")
@@ -466,7 +466,7 @@ def _preview(options: argparse.Namespace) -> int:
 
 
 def _mesh(options: argparse.Namespace) -> int:
-    from melp_warp import runner
+    from melp_warp.program import runner
 
     problems = runner.mesh_cache(options.folder, options.triangles, options.whole)
     for problem in problems:
@@ -478,14 +478,14 @@ def _mesh(options: argparse.Namespace) -> int:
 
 
 def _blender(options: argparse.Namespace) -> int:
-    from melp_warp import runner
+    from melp_warp.program import runner
 
     print(runner.write_blender(options.folder))
     return OK
 
 
 def _check(options: argparse.Namespace) -> int:
-    from melp_warp.apart import check_cache
+    from melp_warp.usd.apart import check_cache
 
     require(options.folder.is_dir(), "DIR", str(options.folder), "a folder that a run wrote")
     problems = check_cache(options.folder)
@@ -501,7 +501,7 @@ def _measure(options: argparse.Namespace) -> int:
     import json
 
     from melp_warp.files import replacing
-    from melp_warp.measure import measure_cache
+    from melp_warp.measure.results import measure_cache
 
     found = measure_cache(options.folder, options.frame, options.which, options.spacing)
     if options.json is not None:
@@ -512,7 +512,7 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def _report_budget(options: argparse.Namespace) -> int:
-    from melp_warp.report import draw_budget, print_budget, read_budget
+    from melp_warp.program.report import draw_budget, print_budget, read_budget
 
     lines = read_budget(options.folder)
     print_budget(lines)
@@ -521,7 +521,7 @@ def _report_budget(options: argparse.Namespace) -> int:
 
 
 def _tradeoff(options: argparse.Namespace) -> int:
-    from melp_warp import runner
+    from melp_warp.program import runner
     from melp_warp.registry import load_scene
 
     require(options.e >= 1, "--e", options.e, "a whole number above 0")

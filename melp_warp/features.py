@@ -89,7 +89,7 @@ class Features:
 
     @property
     def air_waves(self) -> bool:
-        """Whether the air's inertia is a function of the surface Laplacian, see `melp_warp.air`."""
+        """Whether the air's inertia is a function of the surface Laplacian, see `melp_warp.stages.air`."""
         return self.air and not (self.foam or self.explicit)
 
     def kernels(self) -> list[str]:
@@ -97,7 +97,7 @@ class Features:
         needed = {
             **dict.fromkeys(("neighbors", "geometry", "cells", "gas", "diagnostics", "surfactant", "transfer"), True),
             "forces": True,
-            "lanes": True,
+            "barrier": True,
             "linear": self.moving or self.circulation or (self.lagrangian and (self.marangoni or self.viscous)),
             "advance": True,
             "redistribute": self.moving,
@@ -105,14 +105,14 @@ class Features:
             "motion": self.moving,
             "drag": self.dragged,
             "air_range": self.air and self.closed and not (self.foam or self.explicit),
-            "homes": self.lagrangian,
+            "l_lists": self.lagrangian,
             "circulation": self.circulation,
             "mixing": self.mixes,
             "boundary": self.rim,
             "single_layer": self.single,
             "foam": self.foam,
             "contact": self.foam,
-            "lines": self.foam,
+            "line_forces": self.foam,
             "exchange": self.foam,
             "regions": self.foam,
             "budget": self.budget,

@@ -1,4 +1,4 @@
-"""Points of the trade between speed and accuracy: `--quality` and every run of `melp_warp.tradeoff`.
+"""Points of the trade between speed and accuracy: `--quality` and every run of `melp_warp.study.tradeoff`.
 
 A point is relative to a scene's own defaults, so that one definition serves every scene. docs/accuracy.md shows where
 the named ones lie.

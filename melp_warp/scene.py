@@ -53,7 +53,7 @@ class Scene:
         opening: area of a hole that is held open and through which gas leaves, m^2.
         slow_motion: how many times slower than usual time runs from frame to frame, from `slow_from` to `slow_until`.
         dt: None for a step set by `numerics.cfl`.
-        budget: whether the energy budget is kept (`melp_warp.budget`); it changes nothing else.
+        budget: whether the energy budget is kept (`melp_warp.stepping.budget`); it changes nothing else.
     """
 
     name: str

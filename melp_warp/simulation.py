@@ -11,28 +11,28 @@ from dataclasses import fields, replace
 import numpy as np
 import warp as wp
 
-from melp_warp import checkpoint
-from melp_warp.breath import Breath
-from melp_warp.budget import Ledger, Reading
-from melp_warp.burst import Burst
 from melp_warp.cluster import Cluster
-from melp_warp.environment import start_warp
+from melp_warp.device.environment import start_warp
+from melp_warp.device.interrupt import let_through
+from melp_warp.device.launch import compile_kernels, launch
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
-from melp_warp.events import Events
 from melp_warp.features import Features
-from melp_warp.film import Film
 from melp_warp.frame import BLACK_FILM, ParticleFrame
-from melp_warp.interrupt import let_through
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
-from melp_warp.launch import compile_kernels, launch
-from melp_warp.notices import Notices
-from melp_warp.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, set_up_holed, unresolved
 from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
-from melp_warp.single_layer import make_stepper
-from melp_warp.state import AMOUNT, AREA, Snapshot, State
-from melp_warp.stepper import STAGES
-from melp_warp.surgery import Stored
+from melp_warp.stages.film import Film
+from melp_warp.stages.notices import Notices
+from melp_warp.stages.state import AMOUNT, AREA, Snapshot, State
+from melp_warp.stepping import checkpoint
+from melp_warp.stepping.breath import Breath
+from melp_warp.stepping.budget import Ledger, Reading
+from melp_warp.stepping.burst import Burst
+from melp_warp.stepping.events import Events
+from melp_warp.stepping.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, set_up_holed, unresolved
+from melp_warp.stepping.single_layer import make_stepper
+from melp_warp.stepping.stepper import STAGES
+from melp_warp.stepping.topology import Stored
 
 LEAP = 0.3
 """Longest way of a particle in one step, relative to the film as a whole and in radii of the film.
@@ -667,7 +667,7 @@ class Simulation:
         self._keep()
 
     def save_checkpoint(self, path: str | os.PathLike, run: Mapping | None = None) -> None:
-        """Write the state to `path` (.npz), whole or not at all, see `melp_warp.checkpoint`; the run goes on as if not.
+        """Write the state to `path` (.npz), whole or not at all, see `stepping.checkpoint`; the run goes on as if not.
 
         Args:
             path: the file.

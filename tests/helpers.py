@@ -9,9 +9,9 @@ import warp as wp
 
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.numerics import Numerics
-from melp_warp.sampling import make_film
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rim, Samples, Shape
+from melp_warp.stepping.sampling import make_film
 
 
 def make_stepper(shape: Shape, e_count: int, device, l_per_e: int = 0, numerics: dict | None = None, **scene):

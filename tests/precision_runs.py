@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from melp_warp import cli, kernels, precision
-from melp_warp import validation as v
-from melp_warp.launch import compile_kernels
+from melp_warp import cli, kernels
+from melp_warp.device.launch import compile_kernels
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
+from melp_warp.study import rounding as precision
+from melp_warp.study import validation as v
 
 STEPS = 10
 RUNS = {

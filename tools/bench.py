@@ -30,14 +30,14 @@ from scaling import cores, halo, memory, series, start
 
 from melp_warp import __version__
 from melp_warp.cluster import Bubble, Cluster, e_spacing
-from melp_warp.launch import THREADS, launch
+from melp_warp.device.launch import THREADS, launch
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.shapes import StarShaped
 from melp_warp.simulation import Simulation
-from melp_warp.stepper import STAGES
+from melp_warp.stepping.stepper import STAGES
 
 
 def scene_of(name: str, **keys) -> Scene:

@@ -11,8 +11,8 @@ import tempfile
 from pathlib import Path
 
 from melp_warp.cli import main as melp_warp
-from melp_warp.pictures import Cache
-from melp_warp.preview import contact_sheet, render, save_image
+from melp_warp.preview.draw import contact_sheet, render, save_image
+from melp_warp.preview.pictures import Cache
 
 FIGURES = Path(__file__).parent.parent / "docs" / "figures"
 

@@ -1,4 +1,4 @@
-"""Run the extremes of `melp_warp.limits` and random scenes, and write what came of them to docs/limits.md.
+"""Run the extremes of `melp_warp.study.limits` and random scenes, and write what came of them to docs/limits.md.
 
 python tools/limits.py --write               all cases and 300 random scenes
 python tools/limits.py --only thickness      the cases of one topic, shown only
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import warp as wp
 
-from melp_warp import limits
+from melp_warp.study import limits
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "limits.md"
 RANDOM = 300

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from melp_warp.mesh_validation import SCENES, SceneRecord, SphereRecord, measure_sphere, prove_scene
+from melp_warp.study.mesh_validation import SCENES, SceneRecord, SphereRecord, measure_sphere, prove_scene
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "mesh.md"
 BEGIN, END = "<!-- tools/mesh.py -->", "<!-- end -->"

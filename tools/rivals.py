@@ -10,15 +10,15 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from melp_warp.device.launch import launch
 from melp_warp.errors import SimulationError
+from melp_warp.kernels.native import weigh_row
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.rows import weigh_row
 from melp_warp.kernels.sph import kernel_w
-from melp_warp.launch import launch
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
-from melp_warp.validation import unevenness
+from melp_warp.study.validation import unevenness
 
 EXPLICIT_TIME = 28e-3
 """Simulated time to which the explicit and the implicit step are run, s."""

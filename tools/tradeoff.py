@@ -5,7 +5,7 @@
     python tools/tradeoff.py --write                    writes the page, ten to twenty minutes on two cores
     python tools/tradeoff.py --write --from FILE.json   the page anew from records that were saved
 
-The cases and knobs are those of `melp_warp.tradeoff`; the figures need matplotlib (`pip install -e '.[plot]'`).
+The cases and knobs are those of `melp_warp.study.tradeoff`; the figures need matplotlib (`pip install -e '.[plot]'`).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ import warp as wp
 
 wp.config.log_level = wp.LOG_WARNING
 
-from melp_warp import precision  # noqa: E402
-from melp_warp import tradeoff as t  # noqa: E402
-from melp_warp import validation as v  # noqa: E402
-from melp_warp.estimate import measure_cost  # noqa: E402
+from melp_warp.program.estimate import measure_cost  # noqa: E402
 from melp_warp.quality import QUALITIES  # noqa: E402
 from melp_warp.registry import load_scene  # noqa: E402
 from melp_warp.simulation import Simulation  # noqa: E402
+from melp_warp.study import rounding as precision  # noqa: E402
+from melp_warp.study import tradeoff as t  # noqa: E402
+from melp_warp.study import validation as v  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "accuracy.md"

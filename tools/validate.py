@@ -4,7 +4,7 @@
     python tools/validate.py --only drainage     one of them
     python tools/validate.py --full --write      at full size, half an hour on two cores; writes the page
 
-The cases are the functions of `melp_warp.validation`; the figures need matplotlib (`pip install -e '.[plot]'`).
+The cases are the functions of `melp_warp.study.validation`; the figures need matplotlib (`pip install -e '.[plot]'`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ import warp as wp
 
 wp.config.quiet = True
 
-from melp_warp import validation as v  # noqa: E402
 from melp_warp.registry import load_scene  # noqa: E402
+from melp_warp.study import validation as v  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "validation.md"
@@ -541,7 +541,7 @@ def page(results: dict[str, list[dict]], pictures: list[str], seconds: float) ->
         f" (Warp {wp.config.version}, {platform.machine()} CPU);"
         " one row by `python tools/validate.py --full --only NAME`, NAME in the last column.",
         "Short versions are in `tests/physics`, the full ones there too, run by `pytest -m slow`."
-        " The cases are functions of `melp_warp.validation` that can be called with other numbers.",
+        " The cases are functions of `melp_warp.study.validation` that can be called with other numbers.",
         "",
         'Errors are relative to the exact value; "-" under "to reach" is a figure that is only reported.',
         "",

@@ -3,7 +3,7 @@
     python tools/validate_foams.py              small sizes, printed only: about two minutes on two cores
     python tools/validate_foams.py --write      full sizes, about fifteen minutes; writes the page and its plot
 
-The cases are the functions of `melp_warp.foam_validation`; the plot needs matplotlib (`pip install -e '.[plot]'`).
+The cases are the functions of `study.foam_validation`; the plot needs matplotlib (`pip install -e '.[plot]'`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import warp as wp
 
 wp.config.quiet = True
 
-from melp_warp import foam_validation as v  # noqa: E402
+from melp_warp.study import foam_validation as v  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "validation-foams.md"
@@ -32,9 +32,10 @@ PAPER_CURVATURE = "0.8 to 3.4 %"
 HEAD = """# Validation of foams
 
 Made by `python tools/validate_foams.py --write` from the runs it describes; the cases are the functions of
-`melp_warp/foam_validation.py`, [foams.md](foams.md) says what is done and why these numbers come out. All bubbles have
-radius 0.05 m or less, films the mass of 400 nm of water and the air's, tension 0.0726 N/m. They start apart, meet, and
-are measured at rest by `melp_warp.measure`. "E" is the number of Eulerian particles on the largest bubble.
+`melp_warp/study/foam_validation.py`, [foams.md](foams.md) says what is done and why these numbers come out. All
+bubbles have radius 0.05 m or less, films the mass of 400 nm of water and the air's, tension 0.0726 N/m. They start
+apart, meet, and are measured at rest by `melp_warp.measure`. "E" is the number of Eulerian particles on the largest
+bubble.
 
 """
 

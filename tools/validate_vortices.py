@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from melp_warp import validation as v
-from melp_warp import vortex_validation as vv
+from melp_warp.study import validation as v
+from melp_warp.study import vortex_validation as vv
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "vortices.md"
 BEGIN, END = "<!-- tools/validate_vortices.py -->", "<!-- end -->"
@@ -25,7 +25,7 @@ class Case:
     Attributes:
         what: what is measured.
         exact: what theory gives.
-        function: from `melp_warp.validation` or `melp_warp.vortex_validation`.
+        function: from `melp_warp.study.validation` or `melp_warp.study.vortex_validation`.
         runs: its arguments.
         show: what it returns, in words.
     """

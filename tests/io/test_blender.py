@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from melp_warp import cli
-from melp_warp.blender import SCRIPT, TABLES
 from melp_warp.optics import color_table, display_color
-from melp_warp.packing import shown_thickness
-from melp_warp.usd import read_frame, read_mesh
+from melp_warp.program.blender import SCRIPT, TABLES
+from melp_warp.usd.cache import read_frame, read_mesh
+from melp_warp.usd.packing import shown_thickness
 
 LOOK = """
 import json, sys

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from melp_warp import cli
-from melp_warp.check import check_cache
 from melp_warp.frame import ParticleFrame
-from melp_warp.outline import mesh_torn, outlines
+from melp_warp.mesh.outline import mesh_torn, outlines
 from melp_warp.registry import load_scene
-from melp_warp.usd import DROPS, FREE_RIMS, list_frames, read_frame, read_metadata
+from melp_warp.usd.cache import DROPS, FREE_RIMS, list_frames, read_frame, read_metadata
+from melp_warp.usd.check import check_cache
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]])
 SMALL = ["--set", "e_count=400", "l_per_e=4", "breakup=5", "--quiet", "--no-budget"]

@@ -14,10 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from melp_warp import cli, environment, preview, runner
+from melp_warp import cli
+from melp_warp.device import environment
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.frame import ParticleFrame
-from melp_warp.usd import CacheWriter
+from melp_warp.preview import draw as preview
+from melp_warp.program import runner
+from melp_warp.usd.cache import CacheWriter
 
 STOP = "the solver would start"
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdValidation, Vt
 
-from melp_warp.check import check_cache
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import display_color
-from melp_warp.usd import CacheWriter, frame_path
+from melp_warp.usd.cache import CacheWriter, frame_path
+from melp_warp.usd.check import check_cache
 
 COUNT = 30
 FILM = "/World/Film"

@@ -8,10 +8,10 @@ import zipfile
 import numpy as np
 import pytest
 
-from melp_warp import checkpoint
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.registry import load_scene
 from melp_warp.simulation import Simulation
+from melp_warp.stepping import checkpoint
 
 FOAM = {"e_count": 500, "l_per_e": 1, "frames": 2}
 FILM = {"e_count": 200, "l_per_e": 2, "frames": 2}

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 import melp_warp
-from melp_warp import cli, runner
-from melp_warp.check import check_cache
+from melp_warp import cli
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.frame import ParticleFrame
-from melp_warp.notices import Notices
-from melp_warp.pictures import spread
-from melp_warp.usd import list_frames, read_frame, read_metadata
+from melp_warp.preview.pictures import spread
+from melp_warp.program import runner
+from melp_warp.stages.notices import Notices
+from melp_warp.usd.cache import list_frames, read_frame, read_metadata
+from melp_warp.usd.check import check_cache
 
 FEW = ["--set", "e_count=60", "l_per_e=2"]
 

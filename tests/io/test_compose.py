@@ -5,7 +5,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 
 from melp_warp.frame import MeshFrame, WholeFrame
-from melp_warp.usd import (
+from melp_warp.usd.cache import (
     ATTRIBUTES,
     MESH_ATTRIBUTES,
     WHOLE,

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from pxr import Sdf, Vt
 
-from melp_warp import apart, cli
+from melp_warp import cli
 from melp_warp.frame import ParticleFrame
-from melp_warp.usd import CacheWriter, frame_path
+from melp_warp.usd import apart
+from melp_warp.usd.cache import CacheWriter, frame_path
 
 FRAMES = 2
 

@@ -8,9 +8,9 @@ import pytest
 
 from melp_warp import cli
 from melp_warp.errors import InputError
-from melp_warp.fits import close_pairs, fit_sphere
-from melp_warp.measure import measure
-from melp_warp.usd import CacheWriter
+from melp_warp.measure.fits import close_pairs, fit_sphere
+from melp_warp.measure.results import measure
+from melp_warp.usd.cache import CacheWriter
 from tests.foams import Double, cluster, frame_of, single
 
 TETRAHEDRON = np.degrees(np.arccos(-1.0 / 3.0))

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from melp_warp import cli
-from melp_warp.check import check_cache
 from melp_warp.errors import InputError
 from melp_warp.frame import MeshFrame, ParticleFrame
-from melp_warp.mesh import MOST_CORNERS, make_meshes
-from melp_warp.mesh_validation import SCENES, area_of, liquid_in, liquid_of, problems_of, prove_scene, volume_of
+from melp_warp.mesh.surfaces import MOST_CORNERS, make_meshes
 from melp_warp.noise import Perlin
 from melp_warp.registry import scene_names
 from melp_warp.shapes import Cap, Catenoid, Disc, Ellipsoid, Jittered, Rectangle, Sphere, displaced_sphere
-from melp_warp.usd import CacheWriter, list_frames, read_frame, read_mesh, read_metadata, surface_prim
+from melp_warp.study.mesh_validation import SCENES, area_of, liquid_in, liquid_of, problems_of, prove_scene, volume_of
+from melp_warp.usd.cache import CacheWriter, list_frames, read_frame, read_mesh, read_metadata, surface_prim
+from melp_warp.usd.check import check_cache
 from tests.foams import cluster
 from tests.helpers import fitted_order
 

@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from melp_warp import cli, packing
-from melp_warp.apart import read_frame as read_apart
-from melp_warp.check import check_cache
+from melp_warp import cli
 from melp_warp.errors import InputError
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import display_color
-from melp_warp.room import Written
+from melp_warp.program.room import Written
 from melp_warp.shapes import Sphere
-from melp_warp.usd import PACKED_ATTRIBUTES, CacheWriter, flatten, frame_path, read_frame, with_rows
+from melp_warp.usd import packing
+from melp_warp.usd.apart import read_frame as read_apart
+from melp_warp.usd.cache import PACKED_ATTRIBUTES, CacheWriter, flatten, frame_path, read_frame, with_rows
+from melp_warp.usd.check import check_cache
 
 EXACT = ("points", "velocities", "ids", "thickness", "region", "black_film")
 METADATA = {"scene": "test", "seed": 7}

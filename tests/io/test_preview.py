@@ -9,13 +9,13 @@ from PIL import Image
 from melp_warp import cli, optics
 from melp_warp.errors import InputError
 from melp_warp.frame import ParticleFrame
-from melp_warp.mesh import make_meshes, thin_out
-from melp_warp.mesh_validation import frame_of, problems_of, unsettled
-from melp_warp.pictures import Cache
-from melp_warp.preview import FORMATS, Camera, contact_sheet, render, save_image
+from melp_warp.mesh.surfaces import make_meshes, thin_out
+from melp_warp.mesh.whole import make_whole
+from melp_warp.preview.draw import FORMATS, Camera, contact_sheet, render, save_image
+from melp_warp.preview.pictures import Cache
+from melp_warp.preview.surface import Surface, borders
 from melp_warp.shapes import Disc, Rectangle, Sphere
-from melp_warp.surface import Surface, borders
-from melp_warp.whole import make_whole
+from melp_warp.study.mesh_validation import frame_of, problems_of, unsettled
 from tests.foams import cluster
 
 RADIUS = 0.1

@@ -14,13 +14,14 @@ from pathlib import Path
 
 import pytest
 
-from melp_warp import cli, resume, runner
-from melp_warp.check import check_cache
+from melp_warp import cli
+from melp_warp.device.interrupt import end_like_ctrl_c, finish_first, let_through
 from melp_warp.errors import InputError
 from melp_warp.files import append
-from melp_warp.interrupt import end_like_ctrl_c, finish_first, let_through
+from melp_warp.program import resume, runner
 from melp_warp.simulation import Simulation
-from melp_warp.usd import list_frames
+from melp_warp.usd.cache import list_frames
+from melp_warp.usd.check import check_cache
 
 SPEC = importlib.util.spec_from_file_location("kills", Path(__file__).resolve().parents[2] / "tools" / "kills.py")
 kills = importlib.util.module_from_spec(SPEC)
@@ -332,7 +333,7 @@ def test_an_ignored_signal_stays_ignored():
     """As in a script that starts a run with `&`, or by nohup."""
     code = """
 import os, signal
-from melp_warp.interrupt import end_like_ctrl_c, finish_first, let_through
+from melp_warp.device.interrupt import end_like_ctrl_c, finish_first, let_through
 for number in (signal.SIGINT, signal.SIGHUP):
     signal.signal(number, signal.SIG_IGN)
 with end_like_ctrl_c(), finish_first():

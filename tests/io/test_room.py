@@ -6,9 +6,9 @@ import pytest
 
 from melp_warp import cli
 from melp_warp.errors import InputError
-from melp_warp.estimate import array_bytes, measure_cost
+from melp_warp.program.estimate import array_bytes, measure_cost
+from melp_warp.program.room import LEAST_E, LEAST_L, Written, parse_size, size_text
 from melp_warp.registry import load_scene
-from melp_warp.room import LEAST_E, LEAST_L, Written, parse_size, size_text
 from melp_warp.simulation import Simulation
 
 FEW = ["--set", "e_count=300", "l_per_e=2", "--frames", "3", "--quiet"]
@@ -80,7 +80,7 @@ def test_meshes_on_the_disk(tmp_path):
 
 def test_many_l_do_not_put_the_estimate_below_what_e_resolve(monkeypatch, device):
     """With many L an E the film that was measured had too few E, and e_count was blamed."""
-    monkeypatch.setattr("melp_warp.estimate.PARTICLES", 1000)
+    monkeypatch.setattr("melp_warp.program.estimate.PARTICLES", 1000)
     script = load_scene("giant_bubble")
     found = measure_cost(script.build(script.parameters.values({"e_count": 800, "l_per_e": 40})))
     assert found.measured == 0.5

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
-from melp_warp import usd
-from melp_warp.check import check_cache
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import display_color
-from melp_warp.usd import ATTRIBUTES, CacheWriter, flatten, list_frames, read_frame, read_metadata, write_look
+from melp_warp.usd import cache as usd
+from melp_warp.usd.cache import ATTRIBUTES, CacheWriter, flatten, list_frames, read_frame, read_metadata, write_look
+from melp_warp.usd.check import check_cache
 
 FPS = 24.0
 METADATA = {"scene": "test", "seed": 7}

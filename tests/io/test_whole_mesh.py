@@ -8,15 +8,15 @@ from PIL import Image
 from pxr import Usd, UsdGeom
 
 from melp_warp import cli
-from melp_warp.check import check_cache, check_whole
 from melp_warp.errors import InputError
-from melp_warp.mesh import make_meshes
-from melp_warp.mesh_validation import SCENES, frame_of, liquid_in, volume_of, whole_areas, whole_liquid
+from melp_warp.mesh.surfaces import make_meshes
+from melp_warp.mesh.whole import join_meshes, make_whole
 from melp_warp.registry import load_scene
 from melp_warp.shapes import Disc, Sphere
 from melp_warp.simulation import Simulation
-from melp_warp.usd import WHOLE, CacheWriter, list_frames, read_frame, read_metadata, read_whole
-from melp_warp.whole import join_meshes, make_whole
+from melp_warp.study.mesh_validation import SCENES, frame_of, liquid_in, volume_of, whole_areas, whole_liquid
+from melp_warp.usd.cache import WHOLE, CacheWriter, list_frames, read_frame, read_metadata, read_whole
+from melp_warp.usd.check import check_cache, check_whole
 from tests.foams import Double, cluster
 from tests.helpers import fitted_order
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from melp_warp import air
+from melp_warp.stages import air
 
 RHO = 1.204
 

@@ -88,13 +88,13 @@ def test_no_backward_code(path):
 
 
 def test_only_launch_launches():
-    """Host code launches and captures through `melp_warp.launch`; the preview renderer, no part of the step, does not.
+    """Host code launches and captures through `device.launch`; the preview renderer, no part of the step, does not.
 
     `launch` has what allocates, too, which a graph cannot hold.
     """
     package = Path(melp_warp.__file__).parent
-    for path in sorted(package.glob("*.py")):
-        if path.stem not in ("launch", "preview", "surface"):
+    for path in sorted(package.rglob("*.py")):
+        if path.stem not in ("launch", "draw", "surface"):
             for call in ("wp.launch(", "wp.capture_", "wp.ScopedCapture", "wp.utils."):
                 assert call not in path.read_text(), f"{path.stem} calls {call} by itself"
 
@@ -105,7 +105,7 @@ def test_stages_copy_by_launch():
     Lists are built, and films set up, outside of any.
     """
     package = Path(melp_warp.__file__).parent
-    stages = [path for path in sorted(package.glob("*.py")) if "launch_e(" in path.read_text()]
+    stages = [path for path in sorted(package.rglob("*.py")) if "launch_e(" in path.read_text()]
     assert len(stages) > 8
     for path in stages:
         if path.stem not in ("neighbors", "sampling"):

@@ -6,10 +6,10 @@ import warp as wp
 
 from melp_warp.cluster import Bubble, Cluster, Wall
 from melp_warp.errors import SimulationError
-from melp_warp.foam import make_contact
-from melp_warp.kernels import lines as kl
+from melp_warp.kernels import line_forces as kl
 from melp_warp.material import Surroundings
-from melp_warp.sampling import make_film
+from melp_warp.stages.foam import make_contact
+from melp_warp.stepping.sampling import make_film
 from tests.helpers import fitted_order, make_stepper
 
 R = 0.05
@@ -280,7 +280,7 @@ def make_film_pair(device):
 
 def test_one_launch_count_whatever_the_regions(device, monkeypatch):
     """Eight bubbles run no more launches a step than two."""
-    from melp_warp import launch as launcher
+    from melp_warp.device import launch as launcher
 
     counts = []
     for n in (2, 8):

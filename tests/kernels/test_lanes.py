@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp import launch as launcher
+from melp_warp.device import launch as launcher
+from melp_warp.device.launch import Recorded, clear, copy, launch, repeat
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.launch import Recorded, clear, copy, launch, repeat
-from melp_warp.neighbors import fixed_rows
+from melp_warp.stages.neighbors import fixed_rows
 
 N = 1200
 

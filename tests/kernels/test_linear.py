@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp import air
+from melp_warp.device.linear import ConjugateGradient, LinearOperator, RationalLaplacian, most_iterations
 from melp_warp.kernels import linear as kl
-from melp_warp.linear import ConjugateGradient, LinearOperator, RationalLaplacian, most_iterations
 from melp_warp.shapes import Disc, Sphere
+from melp_warp.stages import air
 from tests.helpers import make_rows, make_stepper, near, pairs_of
 
 N = 300

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from melp_warp.device.launch import launch
 from melp_warp.kernels import gas as kg
-from melp_warp.launch import launch
 from melp_warp.material import Surroundings
 from melp_warp.shapes import Ellipsoid, Jittered, Sphere
 from tests.helpers import make_stepper

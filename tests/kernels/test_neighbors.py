@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp.advance import PROJECTION_REACH
 from melp_warp.errors import SimulationError
 from melp_warp.material import Surroundings
 from melp_warp.shapes import Disc, Jittered, Sphere
+from melp_warp.stages.advance import PROJECTION_REACH
 from tests.helpers import make_stepper, near, pairs_of, place_e
 
 SHAPES = {"closed": Jittered(Sphere(0.05)), "flat": Jittered(Disc(0.05))}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from melp_warp.advance import SHIFT_LIMIT, SHIFT_TOLERANCE
 from melp_warp.shapes import Jittered, Sphere
+from melp_warp.stages.advance import SHIFT_LIMIT, SHIFT_TOLERANCE
 from tests.helpers import fitted_order, make_stepper, place_e
 
 RADIUS = 0.05

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp import launch as launcher
 from melp_warp.cluster import Bubble, Cluster, Wall
-from melp_warp.kernels import rows as kr
+from melp_warp.device import launch as launcher
+from melp_warp.device.launch import launch
+from melp_warp.kernels import native as kr
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.launch import launch
-from melp_warp.neighbors import fixed_rows
 from melp_warp.shapes import Disc, Sphere
+from melp_warp.stages.neighbors import fixed_rows
 from tests.helpers import make_rows, make_stepper, spline
 
 N, LIMIT, R = 60, 50, 1.0

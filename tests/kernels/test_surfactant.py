@@ -10,7 +10,7 @@ from melp_warp.kernels import boundary as kb
 from melp_warp.kernels.surfactant import log_mean
 from melp_warp.material import Material, Surroundings
 from melp_warp.shapes import Disc, Jittered, Rectangle, Sphere
-from melp_warp.surfactant import fastest_rate
+from melp_warp.stages.surfactant import fastest_rate
 from tests.helpers import Patch, fitted_order, make_stepper, pairs_of
 
 WIDTH, HEIGHT = 0.2, 0.1

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 from melp_warp.shapes import Disc, Jittered, Sphere
-from melp_warp.transfer import THICKNESS_SLACK
+from melp_warp.stages.transfer import THICKNESS_SLACK
 from tests.helpers import make_stepper
 
 SHAPES = {"sphere": Jittered(Sphere(0.05)), "flat": Jittered(Disc(0.05))}

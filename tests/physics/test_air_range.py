@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from melp_warp import air_range
 from melp_warp.registry import load_scene
 from melp_warp.simulation import Simulation
+from melp_warp.stages import air_range
 
 
 def ringing(**overrides) -> Simulation:

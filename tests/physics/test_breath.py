@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from melp_warp.breath import CONTRACTION
 from melp_warp.errors import InputError
 from melp_warp.material import Material, Surroundings
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rectangle, Sphere
 from melp_warp.simulation import Simulation
+from melp_warp.stepping.breath import CONTRACTION
 
 RADIUS = 0.04
 SOAP = Material(thickness=1e-6)

@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from melp_warp import validation as v
 from melp_warp.cli import main
 from melp_warp.cluster import Bubble, Cluster
-from melp_warp.energy_cases import CASES, run_case
 from melp_warp.features import Features
 from melp_warp.material import Material, Surroundings
 from melp_warp.registry import load_scene, scene_names
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rectangle, Sphere, displaced_sphere
 from melp_warp.simulation import Simulation
+from melp_warp.study import validation as v
+from melp_warp.study.energy_cases import CASES, run_case
 
 R = 0.05
 
@@ -150,7 +150,7 @@ def test_a_large_rest_is_told_in_the_last_line(tmp_path, capsys, monkeypatch):
     loud = [word.replace("e_count=300", "e_count=1000") for word in RUN if word != "--quiet"]
     assert main([*loud, "--strict", "--out", str(tmp_path / "a")]) == 0
     assert "energy budget" not in capsys.readouterr().out
-    monkeypatch.setattr("melp_warp.budget.UNEXPLAINED", 1e-9)
+    monkeypatch.setattr("melp_warp.stepping.budget.UNEXPLAINED", 1e-9)
     assert main([*loud, "--out", str(tmp_path / "b")]) == 0
     assert "energy budget" in capsys.readouterr().out.splitlines()[-1]
     assert main([*RUN, "--strict", "--out", str(tmp_path / "c")]) == 1

@@ -9,10 +9,10 @@ from melp_warp.bursting import Bursting, Puncture
 from melp_warp.errors import InputError
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
-from melp_warp.rims import RAYLEIGH, Rims, Thread
 from melp_warp.scene import Scene
 from melp_warp.shapes import Cap, Rectangle, Sphere
 from melp_warp.simulation import Simulation
+from melp_warp.stepping.rims import RAYLEIGH, Rims, Thread
 
 WIDTH, RADIUS = 0.1, 0.1
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from melp_warp import validation as v
-from melp_warp import vortex_validation as vv
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.shapes import Disc, Jittered, Rectangle, Sphere, displaced_sphere
 from melp_warp.simulation import Simulation
+from melp_warp.study import validation as v
+from melp_warp.study import vortex_validation as vv
 from tests.helpers import make_stepper
 
 CARRIED = Numerics(carrier="circulation")

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from melp_warp import double, tradeoff
-from melp_warp.check import check_cache
+from melp_warp.device import float64 as double
 from melp_warp.errors import InputError
 from melp_warp.simulation import Simulation
-from melp_warp.tradeoff import CASES, KNOBS
+from melp_warp.study import tradeoff
+from melp_warp.study.tradeoff import CASES, KNOBS
+from melp_warp.usd.check import check_cache
 from tests import precision_runs as runs
 
 EPS = float(np.finfo(np.float32).eps)
@@ -78,7 +79,7 @@ def test_surface_holds_the_volume_of_the_gas_law(pair):
 
 @pytest.mark.slow
 def test_stages_are_those_of_an_independent_float64(pair):
-    """Curvature and gathered mass against `melp_warp.precision`, which is NumPy: the C++ rows are double throughout."""
+    """Curvature and gathered mass against `study.rounding`, which is NumPy: the C++ rows are double throughout."""
     for key in ("curvature", "gathered"):
         single, exact = (float(found[key]) for found in pair)
         assert 0.1 * EPS < single < 20.0 * EPS

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from melp_warp import validation as v
 from melp_warp.errors import SimulationError
 from melp_warp.features import Features
 from melp_warp.scene import Scene
 from melp_warp.shapes import Disc, Rectangle, Sphere
 from melp_warp.simulation import Simulation
+from melp_warp.study import validation as v
 
 
 def eddies(x):

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from melp_warp import validation as v
+from melp_warp.study import validation as v
 
 TRANSFERS = {"carrier": "apic", "flip": 0.95}
 """L that carry vortices by their velocity alone: these tests are about what that loses."""

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from melp_warp import foam_validation as v
 from melp_warp.cluster import Bubble, Cluster, Merge, Pop, Wall
 from melp_warp.errors import InputError
 from melp_warp.material import Surroundings
-from melp_warp.measure import measure
+from melp_warp.measure.results import measure
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
+from melp_warp.study import foam_validation as v
 from tests.helpers import fitted_order
 
 R = 0.05

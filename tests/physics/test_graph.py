@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp import launch, limits
-from melp_warp import state as state_module
 from melp_warp.cluster import Bubble, Cluster, Pop
+from melp_warp.device import launch
+from melp_warp.device.scalars import Reading, Setting
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
-from melp_warp.settings import Reading, Setting
 from melp_warp.shapes import Disc, Sphere, StarShaped
 from melp_warp.simulation import Simulation
-from melp_warp.stepper import Stepper
+from melp_warp.stages import state as state_module
+from melp_warp.stepping.stepper import Stepper
+from melp_warp.study import limits
 
 R = 0.05
 MODES = ("launches", "stages", "whole")

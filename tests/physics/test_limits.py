@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from melp_warp import limits
 from melp_warp.cluster import Cluster, Pop
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.material import Surroundings
@@ -12,7 +11,8 @@ from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.shapes import Disc, Sphere, fibonacci_sphere
 from melp_warp.simulation import Simulation
-from melp_warp.validation import small_giant
+from melp_warp.study import limits
+from melp_warp.study.validation import small_giant
 
 CASES = [
     pytest.param(case, id=f"{case.topic}: {case.setting}", marks=[pytest.mark.slow] if case.slow else [])
@@ -291,8 +291,8 @@ def build(p):
 def test_a_cache_far_from_the_origin(tmp_path):
     """Points are the film's own, the prims are moved there in float64, the cache is sound, and one file too."""
     from melp_warp import cli
-    from melp_warp.check import check_cache
-    from melp_warp.usd import flatten, frame_path, open_layer, origin_of, read_frame
+    from melp_warp.usd.cache import flatten, frame_path, open_layer, origin_of, read_frame
+    from melp_warp.usd.check import check_cache
 
     path, out = tmp_path / "far.py", tmp_path / "out"
     path.write_text(FAR_SCENE)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from melp_warp.grain import grain
 from melp_warp.material import Material
+from melp_warp.measure.grain import grain
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from melp_warp import validation as v
 from melp_warp.errors import SimulationError
+from melp_warp.study import validation as v
 
 
 @pytest.mark.parametrize("mode", [2, 3, 4])

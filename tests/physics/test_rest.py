@@ -2,7 +2,7 @@
 
 import pytest
 
-from melp_warp import validation as v
+from melp_warp.study import validation as v
 
 
 def test_young_laplace_pressure():

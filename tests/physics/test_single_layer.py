@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from melp_warp import validation as v
 from melp_warp.cluster import Bubble, Cluster
 from melp_warp.errors import InputError
 from melp_warp.numerics import Numerics
@@ -11,6 +10,7 @@ from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rectangle, Sphere
 from melp_warp.simulation import Simulation
+from melp_warp.study import validation as v
 
 
 def scene(name, **overrides):

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from melp_warp import limits
 from melp_warp.bursting import Bursting, Puncture
 from melp_warp.cluster import Bubble, Cluster, Merge, Pop, Wall
 from melp_warp.errors import CrowdedError
@@ -15,7 +14,8 @@ from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
 from melp_warp.shapes import Cap, Disc, Rectangle, Sphere
 from melp_warp.simulation import Simulation
-from melp_warp.validation import small_giant
+from melp_warp.study import limits
+from melp_warp.study.validation import small_giant
 
 AIR = Surroundings(air="added_mass")
 CARRIED = Numerics(carrier="circulation")

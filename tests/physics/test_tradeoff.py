@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from melp_warp import cli, precision, tradeoff
-from melp_warp import validation as v
+from melp_warp import cli
 from melp_warp.frame import ParticleFrame
 from melp_warp.quality import Quality
 from melp_warp.simulation import Simulation
-from melp_warp.tradeoff import CASES, KNOBS, Record
+from melp_warp.study import rounding as precision
+from melp_warp.study import tradeoff
+from melp_warp.study import validation as v
+from melp_warp.study.tradeoff import CASES, KNOBS, Record
 
 
 def record(cost, error, knob="design", setting="x"):

@@ -8,19 +8,19 @@ import warp as wp
 
 from melp_warp import cli
 from melp_warp.errors import InputError
-from melp_warp.estimate import array_bytes, measure_cost
+from melp_warp.program.estimate import array_bytes, measure_cost
+from melp_warp.program.room import Written
 from melp_warp.quality import QUALITIES, Quality, find_quality
 from melp_warp.registry import load_scene, scene_names
-from melp_warp.room import Written
-from melp_warp.sampling import make_film
 from melp_warp.simulation import Simulation
-from melp_warp.usd import read_metadata
+from melp_warp.stepping.sampling import make_film
+from melp_warp.usd.cache import read_metadata
 
 
 @pytest.fixture(autouse=True)
 def few_steps(monkeypatch):
     """Estimates take as few steps as they can."""
-    monkeypatch.setattr("melp_warp.estimate.SECONDS", 0.0)
+    monkeypatch.setattr("melp_warp.program.estimate.SECONDS", 0.0)
 
 
 def values(name, quality, **given):
@@ -138,8 +138,8 @@ def test_estimate_against_a_run(tmp_path, device):
 def test_estimate_of_a_scene_that_is_measured_smaller(monkeypatch, device):
     """Memory in proportion is within 15 % of what the arrays of the whole scene take."""
     scene = small(e_count=600)
-    monkeypatch.setattr("melp_warp.estimate.PARTICLES", 1500)
-    monkeypatch.setattr("melp_warp.estimate.FEWEST_E", 1)
+    monkeypatch.setattr("melp_warp.program.estimate.PARTICLES", 1500)
+    monkeypatch.setattr("melp_warp.program.estimate.FEWEST_E", 1)
     found = measure_cost(scene)
     assert found.measured == 0.5
     assert found.e_count == 600

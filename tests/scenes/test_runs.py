@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from melp_warp import cli
-from melp_warp.check import check_cache
-from melp_warp.usd import ATTRIBUTES, list_frames, read_frame
+from melp_warp.usd.cache import ATTRIBUTES, list_frames, read_frame
+from melp_warp.usd.check import check_cache
 
 SMALL = {
     "cluster": ["e_count=2400", "l_per_e=1"],

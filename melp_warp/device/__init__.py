@@ -1,0 +1,1 @@
+"""How kernels are run: launches and graphs, linear solvers, numbers on the device, precision, the process."""

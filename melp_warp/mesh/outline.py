@@ -1,0 +1,150 @@
+"""The outline of a film with holes: what is left of its wires, joined with its free rims to closed curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from melp_warp.errors import InputError
+from melp_warp.frame import MeshFrame, ParticleFrame
+from melp_warp.measure.fits import close_pairs, connected, nearest_distance, spans, squares, turned
+from melp_warp.mesh.surfaces import make_meshes
+from melp_warp.preview.surface import next_beads
+
+NEAR = 1.2
+"""Distance from an E, in widths of one, within which a wire still holds film."""
+
+CLEAR = 0.3
+"""Distance of the vertices of a mesh from its free rims, in widths of an E: nearer ones make folds."""
+
+
+APART = 1.8
+"""Distance up to which E belong to one piece of a film, in widths of one."""
+
+FEWEST = 6
+"""E of the smallest piece that gets a mesh."""
+
+
+def mesh_torn(
+    e: ParticleFrame,
+    lagrangian: ParticleFrame | None,
+    rims: Sequence[np.ndarray],
+    beads: ParticleFrame | None,
+    triangles: int | None = None,
+) -> tuple[dict[int, MeshFrame], list[str]]:
+    """`make_meshes` of a film that may have holes and be in pieces: each is closed on its own, and all are one mesh.
+
+    Args:
+        e: the E.
+        lagrangian: the L, or None.
+        rims: points [k, 3] along each wire, m, closed.
+        beads: free rims as a cache stores them; None or empty for a film without holes.
+        triangles: how many there are to be in all, about.
+    """
+    if beads is None or not len(beads.points) or not len(e.points):
+        return make_meshes(e, lagrangian, rims, triangles)
+    film, curves = _clear_of_rims(e, beads), outlines(rims, beads, e)
+    piece, region = _pieces(film), int(e.region[0])
+    made, problems = [], []
+    for k in np.unique(piece):
+        part = _some(film, piece == k)
+        if len(part.points) < FEWEST:
+            continue  # a few drops' worth
+        own = [curve for curve in curves if np.bincount(_nearest(curve, film, piece)).argmax() == k]
+        many = lagrangian and _some(lagrangian, _nearest(lagrangian.points, film, piece) == k)
+        share = triangles and max(1, round(triangles * len(part.points) / len(film.points)))
+        try:
+            meshes, found = make_meshes(part, many, own, share)
+        except InputError as error:
+            meshes, found = {}, [str(error)]
+        sound = {r: mesh for r, mesh in meshes.items() if np.isfinite(mesh.normals).all()}
+        problems += found if sound else [f"region {region}: a piece of {len(part.points)} E makes no mesh"]
+        made += sound.values()
+    return ({region: _merged(made)} if made else {}), problems
+
+
+def _clear_of_rims(e: ParticleFrame, beads: ParticleFrame) -> ParticleFrame:
+    """The E that are not too near a free rim to be vertices of a mesh that ends there."""
+    away = nearest_distance(e.points, beads.points.astype(np.float64))
+    kept = away > CLEAR * float(e.widths.mean())
+    return _some(e, kept)
+
+
+def _some(frame: ParticleFrame, kept: np.ndarray) -> ParticleFrame:
+    """The particles of a mask."""
+    return ParticleFrame(**{k: v[kept] if isinstance(v, np.ndarray) else v for k, v in vars(frame).items()})
+
+
+def _pieces(e: ParticleFrame) -> np.ndarray:
+    """[n] the piece of film that each E belongs to."""
+    radius = APART * float(e.widths.mean())
+    i, j = (np.concatenate(ends) for ends in zip(*close_pairs(e.points.astype(np.float64), radius), strict=True))
+    return connected(len(e.points), np.concatenate([i, j]), np.concatenate([j, i]))
+
+
+def _nearest(x: np.ndarray, e: ParticleFrame, piece: np.ndarray) -> np.ndarray:
+    """[n] the piece of the E nearest to each point."""
+    if (piece == piece[0]).all():
+        return np.full(len(x), piece[0])
+    points = e.points.astype(np.float64)
+    parts = np.array_split(np.asarray(x, dtype=np.float64), 1 + len(x) * len(points) // 2_000_000)
+    return piece[np.concatenate([np.argmin(squares(part, points), axis=1) for part in parts])]
+
+
+def _merged(meshes: list[MeshFrame]) -> MeshFrame:
+    """Several meshes as one."""
+    first = np.cumsum([0, *(len(mesh.points) for mesh in meshes[:-1])])
+    faces = [(mesh.faces + at).astype(np.int32) for mesh, at in zip(meshes, first, strict=True)]
+    names = ("points", "velocities", "normals", "thickness", "black_film")
+    return MeshFrame(
+        *(np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in names),
+        np.concatenate(faces),
+        meshes[0].origin,
+    )
+
+
+def outlines(rims: Sequence[np.ndarray], beads: ParticleFrame | None, e: ParticleFrame) -> list[np.ndarray]:
+    """Closed curves around a film.
+
+    Args:
+        rims: points [k, 3] along each wire, m, closed.
+        beads: free rims as a cache stores them; None or empty for a film without holes.
+        e: the E that there are.
+
+    Returns:
+        Points along each curve, [k, 3], m.
+    """
+    if beads is None or not len(beads.points) or not len(e.points):
+        return list(rims)
+    x, after = beads.points.astype(np.float64), next_beads(beads)
+    whole, open_runs = [], []
+    for number in np.unique(beads.region):
+        index = np.flatnonzero(beads.region == number)
+        (whole if after[index[-1]] >= 0 else open_runs).append(x[index])
+    for rim in rims:
+        held = nearest_distance(rim, e.points.astype(np.float64)) < NEAR * float(e.widths.mean())
+        if held.all():
+            whole.append(rim)
+        elif held.any():
+            rim, held = turned(rim, held)
+            open_runs += [rim[start:stop] for start, stop in spans(held)]
+    return whole + _joined(open_runs)
+
+
+def _joined(runs: list[np.ndarray]) -> list[np.ndarray]:
+    """Closed curves from open ones: each goes on with the nearest end of another, turned where it has to be."""
+    left, curves = list(runs), []
+    while left:
+        curve = left.pop(0)
+        while left:
+            end = curve[-1]
+            gaps = [min(np.linalg.norm(run[0] - end), np.linalg.norm(run[-1] - end)) for run in left]
+            k = int(np.argmin(gaps))
+            if np.linalg.norm(curve[0] - end) <= gaps[k]:
+                break
+            run = left.pop(k)
+            curve = np.concatenate([curve, run if np.linalg.norm(run[0] - end) == gaps[k] else run[::-1]])
+        if len(curve) >= 3:
+            curves.append(curve)
+    return curves

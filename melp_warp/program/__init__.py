@@ -1,0 +1,1 @@
+"""The program around a simulation: runs and their folders, estimates, reports, Blender."""

@@ -1,0 +1,88 @@
+"""`melp-warp report`: the energy budget of a run as a table and as a picture (docs/energy.md)."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from melp_warp.errors import InputError, require
+from melp_warp.stepping.budget import KINDS, LOSS, RAISED, STORE, TERMS
+
+
+def read_budget(folder: Path) -> list[dict]:
+    """The budgets of a run's frames, in their order.
+
+    Raises:
+        InputError: the folder has no log, or one without a budget.
+    """
+    path = folder / "run.jsonl"
+    require(path.is_file(), "DIR", str(folder), "a folder that a run wrote")
+    try:
+        frames = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except ValueError as error:
+        raise InputError(f"{path} must hold a line of JSON a frame: {error}") from None
+    lines = [frame["budget"] for frame in frames if "start" in frame.get("budget", {})]
+    require(bool(lines), "DIR", str(folder), "a run of at least one frame that kept an energy budget")
+    return lines
+
+
+def print_budget(lines: Sequence[dict]) -> None:
+    """Print what each term stores more, did or took since the start; what makes energy is marked."""
+    from rich.console import Console
+    from rich.table import Table
+
+    last = lines[-1]
+    moved = last["moved"] or 1.0
+    table = Table(title=f"Energy up to {last['time']:.4g} s; {last['moved']:.4g} J moved")
+    for column in ("kind", "term", "J", "% of what moved", "what"):
+        table.add_column(column, justify="right" if column in ("J", "% of what moved") else "left")
+    for kind in KINDS:
+        for term in (t for t in TERMS if t.kind == kind):
+            change = last[kind][term.name] - (last["start"][term.name] if kind == STORE else 0.0)
+            if change:
+                mark = " makes energy" if kind == LOSS and change < -RAISED * moved else ""
+                table.add_row(kind, term.name, f"{change:.4g}", f"{100 * change / moved:.3f}", term.meaning + mark)
+    table.add_row("rest", "", f"{last['rest']:.4g}", f"{100 * last['rest'] / moved:.3f}", "unexplained")
+    console = Console(width=130)
+    console.print(table)
+    console.print(f"The rest was never above {100 * last['share']:.3g} % of what moved.")
+    balance = last["balance"]
+    console.print(
+        f"liquid {balance['liquid']:+.2e}, surfactant {balance['surfactant']:+.2e} (relative); "
+        f"momentum beyond outside forces {[float(f'{p:.3g}') for p in balance['momentum']]} kg m/s"
+    )
+
+
+def draw_budget(lines: Sequence[dict], path: Path) -> Path:
+    """Draw the terms over time to a PNG file; the file.
+
+    Raises:
+        InputError: matplotlib is missing, or the file cannot be written.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise InputError("drawing the budget needs matplotlib: pip install 'melp-warp[plot]'")
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    moved = lines[-1]["moved"] or 1.0
+    time = [line["time"] for line in lines]
+    figure, axes = pyplot.subplots(figsize=(8, 5))
+    for term in TERMS:
+        start = lines[0]["start"][term.name] if term.kind == STORE else 0.0
+        values = [(line[term.kind][term.name] - start) / moved for line in lines]
+        if max(map(abs, values)) > RAISED:
+            axes.plot(time, values, label=term.name, linestyle="-" if term.kind == STORE else "--")
+    axes.plot(time, [line["rest"] / moved for line in lines], "k", linewidth=2, label="rest")
+    axes.set(xlabel="time, s", ylabel="energy over what moved")
+    axes.legend(fontsize="small")
+    try:
+        figure.savefig(path, dpi=120, bbox_inches="tight")
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}") from error
+    finally:
+        pyplot.close(figure)
+    return path

@@ -1,0 +1,152 @@
+"""Stages 5 and 6 on the host: E advance with redistribution, L advance with projection."""
+
+from __future__ import annotations
+
+import math
+
+import warp as wp
+
+from melp_warp.device.launch import copy
+from melp_warp.device.linear import ConjugateGradient, LinearOperator
+from melp_warp.kernels import advance as ka
+from melp_warp.kernels import redistribute as kr
+from melp_warp.stages.film import Film
+from melp_warp.stages.geometry import Geometry
+from melp_warp.stages.neighbors import NeighborLists
+from melp_warp.stages.state import State
+
+SHIFT_TOLERANCE = 0.05
+
+SHIFT_ITERATIONS = 2.0
+"""Most iterations of the pseudo-pressure solve over the square root of the number of E: it takes 0.75 of that."""
+
+SHIFT_LIMIT, SHIFT_SHARE = 1.0, 0.02
+"""Largest shift of an E in one redistribution, in spacings, and in the radius of a sphere of the film's size: what a
+film is stretched by over a length is more spacings the finer it is."""
+
+START_SPREAD = 0.02
+"""Spread of E density from which on they are evened out at the start, where it costs the film nothing."""
+
+PROJECTION_REACH = 2.0
+"""Reach of the fits that an L is projected with, in spacings: nearer fits are the better ones."""
+
+
+class EulerianAdvance:
+    """Motion of E with the surface. Made only for films whose surface moves.
+
+    Attributes:
+        redistribution: keeps E evenly spaced; None where the scene asks for none.
+        x_old: [n] positions before the step, m.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        shifted = film.numerics.redistribution > 0.0 and not film.features.holed
+        self.redistribution = Redistribution(film, state, lists, geometry) if shifted else None
+        self.x_old = wp.clone(state.e.x)
+
+    def advance(self, u_mid: wp.array, frame: wp.array, dt: wp.array) -> None:
+        """Space E evenly on the film as it is (20), then move them along their normals and with it as a whole (19)."""
+        film, e, geometry = self.film, self.state.e, self.geometry
+        copy(self.x_old, e.x)
+        if self.redistribution is not None:
+            self.redistribution.apply(u_mid)
+        film.launch_e(
+            ka.advance_e,
+            [e.normal, u_mid, e.region, frame, geometry.surface, self.lists.ee.rows, geometry.gradient, dt],
+            [e.x],
+        )
+
+
+class Redistribution:
+    """Even spacing of E by pseudo-pressure (20), Algorithm 5 without its line 13.
+
+    What line 13 adds, drift += shift/dt, carries E on past where they are even: it winds up and drives the film.
+
+    Attributes:
+        spread: [regions] (delta_max - delta_min)/delta_mean, delta_mean (1/m^2), above 0 if E were shifted.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+        operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
+        most = math.ceil(SHIFT_ITERATIONS * math.sqrt(film.n_e))
+        self.solver = ConjugateGradient(operator, film.total, wp.float32, SHIFT_TOLERANCE, most)
+        size = math.sqrt(film.n_e / film.regions / (4.0 * math.pi))
+        self._limit = film.spacing * min(SHIFT_LIMIT, SHIFT_SHARE * size)
+        self.spread = film.zeros(film.regions, wp.vec3)
+        self._part = film.parts(wp.vec4)
+        self.shifted, self._u = (film.zeros(film.n_e, wp.vec3) for _ in range(2))
+        self._u_mid = film.zeros(film.n_e)
+        # the liquid of a film with L is theirs
+        self._swept = None if film.features.lagrangian else [film.zeros(film.n_e, wp.vec2) for _ in range(2)]
+
+    def apply(self, u_mid: wp.array) -> None:
+        """Shift E once towards even density; nothing moves where the spread is below the scene's threshold.
+
+        The geometry is that of the present positions. `u_mid` [n_e], m/s, is carried along as the velocities are.
+        """
+        numerics = self.film.numerics
+        self._shift(u_mid, numerics.redistribution, numerics.spread)
+
+    def even_out(self) -> None:
+        """Shift E at full strength: for a film at the start, whose shape is known."""
+        self._shift(self._u_mid, 1.0, START_SPREAD)
+
+    def _shift(self, u_mid: wp.array, strength: float, threshold: float) -> None:
+        film, e, geometry, rows = self.film, self.state.e, self.geometry, self.lists.ee.rows
+        film.launch_parts(kr.spread_chunks, [geometry.density, film.first], [self._part])
+        film.launch_regions(kr.summarize_spread_r, [self._part, threshold], [self.spread])
+        film.launch_e(kr.load_pressure_e, [geometry.density, e.region, self.spread], [self.solver.b, self.solver.x])
+        self.solver.solve()
+        film.launch_e(
+            kr.shift_e,
+            [
+                *(self.solver.x, e.x, e.region, self.spread, e.u, u_mid, e.normal, rows, geometry.gradient, film.r),
+                *(strength, film.spacing, self._limit),
+            ],
+            [self.shifted, self._u, self._u_mid],
+        )
+        if self._swept is not None:
+            self._keep_liquid()
+        for array, new in ((e.x, self.shifted), (e.u, self._u), (u_mid, self._u_mid)):
+            copy(array, new, count=film.n_e)
+
+    def _keep_liquid(self) -> None:
+        """Leave the liquid where it is."""
+        film, e, geometry = self.film, self.state.e, self.geometry
+        rows, (swept, blurred) = self.lists.ee.rows, self._swept
+        inputs = [e.x, self.shifted, geometry.area, geometry.weight, rows, film.n_e, e.mass, e.surfactant]
+        film.launch_e(kr.sweep_liquid_e, inputs, [swept])
+        for new, mean in ((swept, blurred), (blurred, swept)):
+            film.launch_e(kr.blur_swept_e, [new, geometry.area, geometry.near, rows, film.n_e], [mean])
+        film.launch_e(kr.take_swept_e, [swept], [e.mass, e.surfactant])
+
+
+class LagrangianAdvance:
+    """Motion of L with the material, kept on the surface. Made only for films with L."""
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
+        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+
+    def advance(self, frame: wp.array, passed: wp.array, bend: wp.array, dt: wp.array) -> None:
+        """Move L by dt (v + frame - passed), put them onto the surface (Algorithm 7).
+
+        `bend` [1] is that of their paths, 0 to 1.
+        """
+        film, lag = self.film, self.state.l
+        film.launch_l(ka.advance_l, [lag.v, lag.affine, lag.normal, lag.region, frame, passed, bend, dt], [lag.x])
+        if film.features.moving:
+            self.project()
+
+    def project(self) -> None:
+        """Put L on the surface through E."""
+        film, e = self.film, self.state.e
+        film.launch_l(
+            ka.project_l,
+            [
+                *(e.x, self.geometry.surface),
+                *(self.lists.le.rows, PROJECTION_REACH * film.spacing, film.n_e),
+            ],
+            [self.state.l.x],
+        )

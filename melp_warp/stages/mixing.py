@@ -1,0 +1,66 @@
+"""Mixing: L exchange what they hold where the flow shears them: layers too fine for them turn even, not grainy."""
+
+from __future__ import annotations
+
+import math
+
+import warp as wp
+
+from melp_warp.device.launch import Shared
+from melp_warp.device.scalars import Setting
+from melp_warp.kernels import mixing as kx
+from melp_warp.stages.film import Film
+from melp_warp.stages.neighbors import NeighborLists
+from melp_warp.stages.state import State
+
+STEPS_APART = 2
+"""Steps from one pass to the next: what it exchanges is for the time since the last."""
+
+
+class Mixing:
+    """Exchange of liquid and surfactant between near L, D = C d^2 |S|. Made only where a scene asks for it (`mixing`).
+
+    A flow that shears draws liquid out to layers that soon are thinner than the distance d of L. L of different layers
+    then lie side by side, and what they show is grain. Diffusion that makes layers fade as they come to be d thick, at
+    the rate |S| at which they get there, leaves a picture that is as fine as L can tell, and nothing finer.
+
+    Attributes:
+        due: whether L mix before the step to come.
+    """
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists):
+        self.film, self.state, self.lists = film, state, lists
+        self.due, self._time = False, Setting(film.device)
+        self._where, self._flow = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l, wp.vec3)
+        self._held = film.zeros(film.n_l, wp.vec4)
+        self._spacing = film.spacing * math.sqrt(film.n_e / film.n_l)
+
+    def prepare(self, dt: float) -> None:
+        """Count a step of dt (s), and set whether and for how long a time L mix before it."""
+        course = self.state.course
+        course.unmixed += 1
+        self.due = course.unmixed > STEPS_APART
+        if self.due:
+            self._time.at(self.state.time - course.mixed)
+            course.mixed, course.unmixed = self.state.time, 1
+
+    def apply(self) -> None:
+        """Let L mix; follows the lists."""
+        film, lag, lists = self.film, self.state.l, self.lists
+        by_home = [Shared(a) for a in (self._where, self._flow, self._held)]
+        film.launch_l(
+            kx.give_held_l,
+            [
+                *(lag.x, lag.u, lag.affine, lag.normal, lag.mass, lag.surfactant, lag.eta),
+                *(film.material.density, lists.el.place, lag.behind),
+            ],
+            by_home,
+        )
+        film.launch_l(
+            kx.mix_l,
+            [
+                *(Shared(self.state.e.x), lists.le.home, lists.el.place, Shared(lists.ee.rows), lists.el.blocks),
+                *(*by_home, self._spacing, film.numerics.mixing, self._time.array),
+            ],
+            [lag.u, lag.mass, lag.surfactant, lag.eta],
+        )

@@ -1,0 +1,495 @@
+"""When films burst, and what the host does about it between steps: holes, rims that meet, drops, film that is gone.
+
+Works on a state as `State.numpy` gives it and gives one of other sizes back, from which the run is set up anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from melp_warp.bursting import Puncture
+from melp_warp.device.launch import launch
+from melp_warp.errors import SimulationError
+from melp_warp.frame import ParticleFrame
+from melp_warp.kernels import free_rim as kr
+from melp_warp.measure.fits import connected, nearest_distance, squares
+from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT
+from melp_warp.stepping.rims import FEWEST, POINT, ROUND, SUMS, Rims, Thread, breaking_points
+from melp_warp.stepping.topology import Stored
+
+if TYPE_CHECKING:
+    from melp_warp.simulation import Simulation
+
+POINTS = 0.5
+"""Distance of the points of a rim, spacings: two E spacings hold four rows of L."""
+
+TURN = 1.0
+"""Way of a rim after which what is behind it is taken away, spacings."""
+
+MEET = 2.2 * RIM_CFL
+"""Distance at which rims that run at each other have met, spacings: they come no closer unseen."""
+
+PIECE = 1.8
+"""Distance within which E belong to one piece of film, and within which that has a rim, spacings."""
+
+FRAME = 0.5
+"""Distance from a frame at which a rim has come to it, spacings."""
+
+
+class Burst:
+    """The holes of one run; what is still to come is in the state, see `Course`."""
+
+    def __init__(self, simulation: Simulation):
+        self.scene = simulation.scene
+        self._sim = simulation
+        self._opened: int | None = None
+        self._moved = False
+
+    @property
+    def _holed(self) -> bool:
+        return self._sim.film.features.holed and not self._sim.gone
+
+    @property
+    def _rims(self) -> Rims:
+        """The rims as they are now (reads back)."""
+        rim = self._sim.state.f
+        return Rims.of({f"f.{name}": getattr(rim, name).numpy() for name in (*POINT, "after", "before")})
+
+    @property
+    def pending(self) -> list[Puncture]:
+        """Punctures to come, in order of time."""
+        return list(self.scene.bursting.punctures[self._sim.state.course.punctured :])
+
+    def following(self) -> float | None:
+        """Time of the next puncture that is not due yet, s; None for none."""
+        later = [one.time for one in self.pending if one.time > self._sim.time + 1e-12]
+        return min(later, default=None)
+
+    def longest_step(self) -> float:
+        """Step in which the fastest rim runs `RIM_CFL` spacings, s."""
+        sim = self._sim
+        edge = sim.stepper.edge if self._holed else None
+        speed = edge.fastest() if edge is not None else 0.0
+        return RIM_CFL * sim.film.spacing / speed if speed > 0.0 else np.inf
+
+    def begin(self) -> None:
+        """Once the run is set up anew: the rim of a new hole takes what was there."""
+        sim, first = self._sim, self._opened
+        self._opened = None
+        if first is not None:
+            sim.stepper.edge.sweep()
+            inertia = sim.state.f.inertia.numpy()
+            inertia[first:] = sim.state.f.mass.numpy()[first:].mean()
+            sim.state.f.inertia.assign(inertia)
+
+    def after_step(self, dt: float) -> None:
+        """Count how far the rims have run, and let drops fly."""
+        sim = self._sim
+        if self._holed:
+            speed = sim.stepper.edge.fastest()
+            if not np.isfinite(speed):
+                raise SimulationError("stage rim: a point of a free rim is not finite")
+            sim.state.course.run += dt * speed
+            self._moved = True
+        drops, air = sim.state.d, sim.scene.surroundings
+        density = air.air_density if air.air != "none" else 0.0
+        inputs = [drops.mass, sim.scene.material.density, density, sim.film.gravity, dt]
+        launch(kr.fly_d, drops.x.shape[0], inputs, [drops.x, drops.u], sim.device)
+
+    def due(self) -> Callable[[Stored], None] | None:
+        """The change to carry out now, None for none."""
+        sim = self._sim
+        course = sim.state.course
+        if sim.gone:
+            return None
+        while (waiting := self.pending) and waiting[0].time <= sim.time + 1e-12:
+            course.punctured += 1
+            if (change := self._puncture(waiting[0])) is not None:
+                return change
+        thin = self._thinnest()
+        if thin is not None:
+            return self._puncture(Puncture(tuple(thin.tolist()), sim.time))
+        if self._moved and (course.run >= TURN * sim.film.spacing or self._meeting()):
+            self._moved = False  # once a step
+            return self._tidy
+        return None
+
+    def _meeting(self) -> bool:
+        """Whether rims have met since they were last put in order."""
+        rims = self._rims
+        return bool(self._at_frame(rims.point["x"]).any() or rims.meet(MEET * self._sim.film.spacing).any())
+
+    def _thinnest(self) -> np.ndarray | None:
+        """Place of the thinnest film, where it is thinner than it holds. [3], m."""
+        least = self.scene.bursting.rupture_thickness
+        if least == 0.0:
+            return None
+        sim = self._sim
+        sim.stepper.fields.update()
+        eta = sim.stepper.fields.eta.numpy()[: sim.film.n_e]
+        if sim.film.features.holed:
+            e = sim.state.e
+            far = (e.behind.numpy() == 0) & (sim.stepper.edge.edge.numpy()[:, 3] > REACH * sim.film.spacing)
+            eta = np.where(far, eta, np.inf)
+        i = int(np.argmin(eta))
+        return sim.state.e.x.numpy()[i] + sim.state.origin if eta[i] < least else None
+
+    # --- what is told ------------------------------------------------------------------------------------------------
+
+    def diagnostics(self) -> dict:
+        """What a line of the log says of holes: liquid (kg) by where it is, and the rims."""
+        state = self._sim.state
+        rim, rims = state.f, self._rims
+        there = {"e": state.e.behind, "l": state.l.behind if state.l else None} if self._holed else {}
+        count = {f"{kind}_count": int((a.numpy() == 0).sum()) for kind, a in there.items() if a is not None}
+        area = {}
+        if self._holed:
+            own = self._sim.stepper.geometry.area.numpy()
+            area["area"] = float(own[state.e.behind.numpy() == 0].sum(dtype=np.float64))
+        return {
+            **count,
+            **area,
+            "rims": len(rims.chains),
+            "rim_length": float(rims.halves().sum()) if rims.chains else 0.0,
+            "rim_mass": float(rim.mass.numpy().sum()),
+            "rim_speed": float(np.linalg.norm(rim.u.numpy(), axis=1).max(initial=0.0)),
+            "drops": state.sizes["d"],
+            "drop_mass": float(state.d.mass.numpy().sum(dtype=np.float64)),
+            "frame_mass": state.course.rest,
+        }
+
+    def particles(self, which: str) -> ParticleFrame:
+        """The free rims ("rims"), as beads that lie close enough to be threads, or the drops ("drops").
+
+        `thickness` is the diameter, and `region` of rims the number of the rim; beads are in order along it, and of one
+        that is closed the last lies near the first.
+        """
+        sim = self._sim
+        shift = sim.state.origin - sim.origin
+        if which == "drops":
+            drops = sim.state.d
+            x, u, mass = (a.numpy().astype(np.float64) for a in (drops.x, drops.u, drops.mass))
+            width = 2.0 * np.cbrt(3.0 * mass / (4.0 * np.pi * self.scene.material.density))
+            return _beads(x + shift, u, width, np.tile([0.0, 1.0, 0.0], (len(x), 1)), sim.origin, sim.state.ids["d"])
+        rims = self._rims
+        parts = [rims.beads(chain, self.scene.material.density, sim.film.spacing) for chain in rims.chains]
+        if not parts:
+            return ParticleFrame.empty(tuple(sim.origin.tolist()))
+        x, u, width, normal = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        frame = _beads(x + shift, u, width, normal, sim.origin, np.arange(len(x)))
+        frame.region = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part[0]) for part in parts])
+        return frame
+
+    def sums(self) -> np.ndarray:
+        """The sums of `kernels.diagnostics.summarize_chunks` over the film that is there. [12]."""
+        sim = self._sim
+        e, lag, density = sim.state.e, sim.state.l, sim.scene.material.density
+        if lag is None:
+            there = e.swept.numpy() == 0
+            parts = [e.mass, e.surfactant, e.u, e.u, sim.stepper.fields.eta]
+        else:
+            there = lag.behind.numpy() == 0
+            parts = [lag.mass, lag.surfactant, lag.u, lag.v, lag.eta]
+        mass, amount, u, v, eta = (a.numpy()[: len(there)][there].astype(np.float64) for a in parts)
+        area = mass / (density * eta)
+        speed = (v**2).sum(axis=1)
+        low, high = (eta.min(), eta.max()) if len(eta) else (0.0, 0.0)
+        return np.array(
+            [
+                *(mass.sum(), amount.sum(), *(mass[:, None] * u).sum(axis=0), 0.5 * (mass * speed).sum()),
+                *(speed.max(initial=0.0), low, high, (area * eta).sum(), area.sum(), (area * eta**2).sum()),
+            ]
+        )
+
+    # --- holes ------------------------------------------------------------------------------------------------------
+
+    def _puncture(self, one: Puncture) -> Callable[[Stored], None] | None:
+        """Make a hole."""
+        sim = self._sim
+        film, e = sim.film, sim.state.e
+        n = film.n_e
+        x = e.x.numpy()[:n].astype(np.float64)
+        place = np.array(one.place) - sim.state.origin
+        away = np.linalg.norm(x - place, axis=1)
+        if film.features.holed:
+            behind = e.behind.numpy() == 1
+            if one.end is None and behind[np.argmin(away)]:
+                return self._without_effect(one, "in a hole")
+            away = np.where(behind, np.inf, away)
+        i = int(np.argmin(away))
+        size = float(np.sqrt(sim.scene.shape.area))
+        radius = film.spacing if one.radius is None else one.radius
+        if not away[i] <= max(0.25 * size, film.spacing):
+            return self._without_effect(one, f"{away[i]:.3g} m off the film")
+        normal = e.normal.numpy()[i].astype(np.float64)
+        m = sim.scene.material
+        sim.stepper.fields.update()
+        gamma, eta = (float(a.numpy()[i]) for a in (sim.stepper.fields.gamma, sim.stepper.fields.eta))
+        speed = np.sqrt(2.0 * max(m.tension - film.slope * gamma, 0.0) / (m.density * eta))
+        centre = place - ((place - x[i]) @ normal) * normal
+        if np.linalg.norm(centre - x[i]) > film.spacing:
+            centre = x[i]
+        end = centre if one.end is None else np.array(one.end) - sim.state.origin
+        farthest = float(np.linalg.norm(x - centre, axis=1).max()) + 2.0 * film.r
+        end = centre + (end - centre) * min(1.0, farthest / max(float(np.linalg.norm(end - centre)), 1e-30))
+        ring = _ring(centre, end, normal, radius, POINTS * film.spacing)
+        nearest = np.concatenate([np.argmin(squares(part, x), axis=1) for part in np.array_split(ring, len(ring))])
+        normals = e.normal.numpy()[nearest].astype(np.float64)
+        ring -= (((ring - x[nearest]) * normals).sum(axis=1, keepdims=True)) * normals
+        flow = e.u.numpy()[nearest]
+        seen = np.tile([gamma, eta], (len(ring), 1))
+        return lambda stored: self._open(stored, ring, normals, flow, seen, speed)
+
+    def _without_effect(self, one: Puncture, why: str) -> None:
+        """Note a puncture that makes no hole."""
+        where = ", ".join(f"{c:g}" for c in one.place)
+        text = f"the puncture at {where} at {one.time:g} s is {why}: nothing happens"
+        self._sim.notices.note("puncture without effect", 1.0, text)
+
+    def _open(self, stored, ring, normals, flow, seen, speed) -> None:
+        """Put a rim into the state; its liquid is what it finds behind it when it first looks."""
+        arrays, k = stored.arrays, len(ring)
+        old = len(arrays["f.x"])
+        rng = np.random.default_rng([self.scene.seed, old, self._sim.state.course.punctured, k])
+        new = {name: np.zeros((k, *arrays[f"f.{name}"].shape[1:])) for name in POINT}
+        new |= {"x": ring, "normal": normals, "flow": flow, "film": seen, "limit": breaking_points(k, rng)}
+        out = np.cross(np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0), normals)
+        new["u"] = flow + speed * out / np.linalg.norm(out, axis=1, keepdims=True)
+        for name, values in new.items():
+            was = arrays[f"f.{name}"]
+            arrays[f"f.{name}"] = np.concatenate([was, values.astype(was.dtype)])
+        index = np.arange(k)
+        for name, step in (("after", 1), ("before", -1)):
+            links = old + np.roll(index, -step)
+            arrays[f"f.{name}"] = np.concatenate([arrays[f"f.{name}"], links.astype(np.int32)])
+        self._opened = old
+
+    # --- rims that run ----------------------------------------------------------------------------------------------
+
+    def _tidy(self, stored: Stored) -> None:
+        """Take away what rims have passed, break rims and join them, keep their points apart."""
+        sim = self._sim
+        spacing = sim.film.spacing
+        moment = int(np.float64(sim.state.time).view(np.uint64))  # the same in a run that goes on from here
+        rng = np.random.default_rng([self.scene.seed, moment, len(stored.arrays["f.x"])])
+        rims = Rims.of(stored.arrays)
+        self._break(stored, rims, rng)
+        frame = self._at_frame(rims.point["x"])
+        self._collect(stored, rims, frame)
+        met = (rims.meet(MEET * spacing) | self._blind(stored, rims.point["x"])) & ~frame
+        self._close(stored, rims, np.flatnonzero(met))
+        ended = rims.cut(met | frame, met, POINTS * spacing)
+        if met.any():
+            ended += self._islands(stored, rims)
+        self._spray(stored, ended)
+        rims.even(POINTS * spacing, rng)
+        rims.store(stored.arrays)
+        sim.state.course.run = 0.0
+        if not rims.chains or (stored.arrays["e.behind"] == 0).sum() < FEWEST:
+            self._finish(stored, rims)
+            return
+        self._drop_film(stored)
+
+    def _break(self, stored: Stored, rims: Rims, rng: np.random.Generator) -> None:
+        """Let the points whose waves have grown break into drops, and go on empty."""
+        limit = self.scene.bursting.breakup
+        if limit == 0.0:
+            return
+        point = rims.point
+        broken = (point["growth"] > limit * point["limit"]) & (point["mass"] > 0.0)
+        if not broken.any():
+            return
+        for thread in rims.threads(rims.runs(broken)):
+            self._spray(stored, [thread])
+        for name in (*SUMS, "growth"):
+            point[name][broken] = 0.0
+        point["limit"][broken] = breaking_points(int(broken.sum()), rng)
+
+    def _close(self, stored: Stored, rims: Rims, met: np.ndarray) -> None:
+        """Give the film that is left between rims that have met to their points `met`."""
+        if not len(met):
+            return
+        arrays, place = stored.arrays, rims.point["x"][met]
+        kind, flag = _carriers(stored)
+        for name in (flag, "e.behind"):
+            which = name[0]
+            there = np.flatnonzero(arrays[name] == 0)
+            away = nearest_distance(arrays[f"{which}.x"][there], place)
+            between = there[away < 0.5 * MEET * self._sim.film.spacing]
+            if name == flag and len(between):
+                nearest = met[np.argmin(squares(arrays[f"{kind}.x"][between], place), axis=1)]
+                for what in ("mass", "surfactant"):
+                    np.add.at(rims.point[what], nearest, arrays[f"{kind}.{what}"][between].astype(np.float64))
+            arrays[name][between] = 1
+
+    def _islands(self, stored: Stored, rims: Rims) -> list[Thread]:
+        """The liquid of pieces of film that no rim is near any more: they are too small for one."""
+        arrays, n, spacing = stored.arrays, self._sim.film.n_e, self._sim.film.spacing
+        x, live = arrays["e.x"][:n], arrays["e.behind"] == 0
+        rows = self._sim.stepper.lists.ee.rows
+        start, stop, index = (a.numpy() for a in (rows.start, rows.stop, rows.index))
+        count = stop - start
+        i = np.repeat(np.arange(n), count)
+        j = index[np.repeat(start, count) + np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count)]
+        near = (j < n) & live[i]
+        i, j = i[near], j[near]
+        near = live[j] & (((x[i] - x[j]) ** 2).sum(axis=1) < (PIECE * spacing) ** 2)
+        piece = connected(n, i[near], j[near])
+        points = np.concatenate([rims.point["x"][chain.index] for chain in rims.chains] or [np.zeros((0, 3))])
+        held = np.zeros(n, dtype=bool)
+        if len(points):
+            held[piece[live & (nearest_distance(x, points) < PIECE * spacing)]] = True
+        lost = live & ~held[piece]
+        return [self._take(stored, lost & (piece == k)) for k in np.unique(piece[lost])]
+
+    def _take(self, stored: Stored, lost: np.ndarray) -> Thread:
+        """Take the film of the E of the mask `lost` [n_e] away; its liquid."""
+        arrays = stored.arrays
+        arrays["e.behind"][lost] = 1
+        kind, flag = _carriers(stored)
+        there = lost[self._sim.stepper.lists.le.home.numpy()] if kind == "l" else lost
+        there = there & (arrays[flag] == 0)
+        arrays[flag][there] = 1
+        x, u, mass, amount = (
+            arrays[f"{kind}.{name}"][: len(there)][there].astype(np.float64)
+            for name in ("x", "u", "mass", "surfactant")
+        )
+        return Thread(x, u, mass, amount, np.full(len(x), self._sim.film.spacing))
+
+    def _blind(self, stored: Stored, x: np.ndarray) -> np.ndarray:
+        """[n] whether points have no film before them any more."""
+        there = stored.arrays["e.x"][: self._sim.film.n_e][stored.arrays["e.behind"] == 0]
+        return nearest_distance(x, there) > SIGHT * self._sim.film.spacing
+
+    def _at_frame(self, x: np.ndarray) -> np.ndarray:
+        """[n] whether points have come to the frame of an open film."""
+        held = self._sim.film.rim
+        if held is None or not len(x):
+            return np.zeros(len(x), dtype=bool)
+        anchors, outward = held.anchors.numpy(), held.outward.numpy()
+        near = np.argmin(squares(x, anchors), axis=1)
+        beyond = ((x - anchors[near]) * outward[near]).sum(axis=1)
+        return beyond > -FRAME * self._sim.film.spacing
+
+    def _collect(self, stored: Stored, rims: Rims, frame: np.ndarray) -> None:
+        """Leave to the frame what has come to it."""
+        self._sim.state.course.rest += float(rims.point["mass"][frame].sum())
+        for name in SUMS:
+            rims.point[name][frame] = 0.0
+
+    def _spray(self, stored: Stored, threads: list[Thread]) -> None:
+        """Break threads of liquid into drops, as many as the fastest wave makes of them; sums are kept."""
+        arrays, m = stored.arrays, self.scene.material
+        rng = np.random.default_rng([self.scene.seed, len(arrays["d.x"]), len(threads)])
+        made = [thread.drops(m.density, m.film_tension, rng) for thread in threads if thread.mass.sum() > 0.0]
+        if not made:
+            return
+        first = int(stored.ids["d"].max(initial=-1)) + 1
+        for name in ("x", "u", "mass", "surfactant"):
+            new = np.concatenate([drops[name] for drops in made])
+            was = arrays[f"d.{name}"]
+            arrays[f"d.{name}"] = np.concatenate([was, new.astype(was.dtype)])
+        count = len(arrays["d.x"]) - len(stored.ids["d"])
+        stored.ids["d"] = np.concatenate([stored.ids["d"], np.arange(first, first + count)])
+
+    def _drop_film(self, stored: Stored) -> None:
+        """Take away the film that is far behind the rims."""
+        film, arrays = self._sim.film, stored.arrays
+        behind = np.flatnonzero(arrays["e.behind"] == 1)
+        kept = np.ones(film.n_e, dtype=bool)
+        if len(behind):
+            away = nearest_distance(arrays["e.x"][behind], arrays["f.x"])
+            kept[behind[away > film.r + POINTS * film.spacing]] = False
+        if kept.all():
+            return
+        if "l.x" in arrays:
+            home = self._sim.stepper.lists.le.home.numpy()
+            lost = ~kept[home] & (arrays["l.behind"] == 0)
+            self._take_lost(stored, lost)
+            stored.select("l", kept[home])
+        keep_e(stored, kept)
+
+    def _take_lost(self, stored: Stored, lost: np.ndarray) -> None:
+        """Leave the liquid of L [n_l] without film to the frame, or without one to the rims nearest to them."""
+        arrays = stored.arrays
+        mass = arrays["l.mass"][lost].astype(np.float64)
+        if self._sim.film.rim is not None:
+            self._sim.state.course.rest += float(mass.sum())
+        elif lost.any():
+            nearest = np.argmin(squares(arrays["l.x"][lost], arrays["f.x"]), axis=1)
+            np.add.at(arrays["f.mass"], nearest, mass)
+            np.add.at(arrays["f.surfactant"], nearest, arrays["l.surfactant"][lost].astype(np.float64))
+
+    def _finish(self, stored: Stored, rims: Rims) -> None:
+        """The last of the film and of its rims: into the frame where there is one, else into drops."""
+        arrays = stored.arrays
+        kind, flag = _carriers(stored)
+        left = arrays[flag] == 0
+        mass = arrays[f"{kind}.mass"][left].astype(np.float64)
+        threads = rims.threads(chain.index for chain in rims.chains)
+        if self._sim.film.rim is not None:
+            self._sim.state.course.rest += float(mass.sum()) + float(sum(one.mass.sum() for one in threads))
+        else:
+            threads.append(self._take(stored, np.ones(len(arrays["e.mass"]), dtype=bool)))
+            self._spray(stored, threads)
+        for name in (*POINT, "after", "before"):
+            arrays[f"f.{name}"] = arrays[f"f.{name}"][:0]
+        if kind == "l":
+            stored.select("l", np.zeros(len(left), dtype=bool))
+        keep_e(stored, np.zeros(len(arrays["e.mass"]), dtype=bool))
+        for name in [name for name in arrays if name.startswith("e.")]:
+            arrays[name] = arrays[name][:0]
+        arrays.pop("b.mirror", None)
+        stored.drop_region(0)
+
+
+def _carriers(stored: Stored) -> tuple[str, str]:
+    """The particles that hold the liquid, and what says of which a rim has taken it."""
+    return ("l", "l.behind") if "l" in stored.kinds else ("e", "e.swept")
+
+
+def keep_e(stored: Stored, kept: np.ndarray) -> None:
+    """Keep the E of the mask `kept` [n_e], and all boundary particles."""
+    arrays, n = stored.arrays, len(kept)
+    all_kept = np.concatenate([kept, np.ones(len(arrays["e.x"]) - n, dtype=bool)])
+    for name, array in arrays.items():
+        if name.startswith("e."):
+            arrays[name] = array[all_kept if len(array) == len(all_kept) else kept]
+    if "memory.area" in arrays:
+        arrays["memory.area"] = arrays["memory.area"][kept]
+    stored.ids["e"] = stored.ids["e"][kept]
+
+
+def _beads(x, u, width, normal, origin: np.ndarray, ids: np.ndarray) -> ParticleFrame:
+    """Beads of liquid as a set of particles."""
+    return ParticleFrame(
+        points=x.astype(np.float32),
+        velocities=u.astype(np.float32),
+        ids=ids.astype(np.int64),
+        widths=width.astype(np.float32),
+        normals=normal.astype(np.float32),
+        thickness=(1e9 * width).astype(np.float32),
+        region=np.zeros(len(x), dtype=np.int32),
+        black_film=np.zeros(len(x), dtype=np.int32),
+        origin=tuple(origin.tolist()),
+    )
+
+
+def _ring(start: np.ndarray, end: np.ndarray, normal: np.ndarray, radius: float, length: float) -> np.ndarray:
+    """Points around a line from start to end, counterclockwise as the normal sees it: a circle where both are one."""
+    way = end - start
+    way -= (way @ normal) * normal
+    reach = float(np.linalg.norm(way))
+    first = way / reach if reach > 0.0 else np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    half = max(ROUND, round(2.0 * np.pi * radius / length)) // 2
+    angle = np.pi * ((np.arange(half) + 0.5) / half - 0.5)[:, None]
+    cap = radius * (np.cos(angle) * first + np.sin(angle) * second)
+    steps = ((np.arange(1, round(reach / length))) * length / max(reach, length))[:, None]
+    side = radius * second
+    parts = [end + cap, end + side - steps * way, start - cap, start - side + steps * way]
+    return np.concatenate(parts)

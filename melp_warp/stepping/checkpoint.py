@@ -1,0 +1,244 @@
+"""Checkpoints: the state of a run in one file, from which it goes on bit for bit.
+
+A checkpoint is a NumPy archive (.npz, not compressed). Its members:
+
+    header      JSON: format and program version, the scene's numbers, the film's, `Course`, `State.seen`, notices
+    checksum    SHA-256 of all other members
+    e.x, ...    arrays by the names of `State.numpy`, each with the type and the length that `state.py` declares
+
+`write` and `read` are the only ones that know the format. What `read` gives has been checked (stored.py), whoever made
+the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+
+import numpy as np
+
+import melp_warp
+from melp_warp.errors import InputError, require
+from melp_warp.features import Features
+from melp_warp.files import load_arrays, save_arrays
+from melp_warp.material import Material, Surroundings
+from melp_warp.numerics import Numerics
+from melp_warp.scene import Scene
+from melp_warp.stages.notices import Notices
+from melp_warp.stages.state import Course, State, declared
+from melp_warp.stepping.sampling import boundary_count, state_of
+from melp_warp.stepping.stored import check_course, check_film, check_notices, check_seen, check_stored
+
+FORMAT = 1
+HEADER, CHECKSUM = "header", "checksum"
+MOST_TOLD = 6
+"""Numbers that differ of which a message tells."""
+
+MAY_CHANGE = ("dt", "material.", "surroundings.", "numerics.")
+"""Numbers of a scene that may change during a run, or what their names begin with."""
+
+STAY = ("material.thickness", "material.surfactant", "numerics.layers", "numerics.support", "numerics.skin")
+"""Numbers among those that may not: they say how a run starts, or what its arrays are like."""
+
+
+@dataclass
+class Checkpoint:
+    """What a file holds, checked.
+
+    Attributes:
+        film: spacing (m), radius (m) and room, see `Film`.
+        course: what the host remembers.
+        seen: see `State.seen`.
+        notices: see `Notices.save`.
+        run: what `write` was given of the run, for the command line.
+        arrays: by name.
+    """
+
+    film: dict[str, float]
+    course: Course
+    seen: list
+    notices: dict
+    run: dict
+    arrays: dict[str, np.ndarray]
+
+    def make_state(self, scene: Scene, device) -> State:
+        """The state, on a device."""
+        state = state_of(scene, self.arrays, len(self.course.labels), device, self.course.holed)
+        state.course = self.course
+        state.seen.refill(self.seen)
+        return state
+
+
+def describe(scene: Scene) -> dict[str, object]:
+    """The numbers and choices of a scene by name, as JSON can say them. Fields given by functions are left out."""
+    return {key: value for key, value in _flat("", scene) if key not in ("name", "frames")}
+
+
+def _flat(name: str, value: object) -> Iterator[tuple[str, object]]:
+    """Names and plain values within a value."""
+    if is_dataclass(value):
+        yield f"{name}.kind" if name else "kind", type(value).__name__
+        for f in fields(value):
+            yield from _flat(f"{name}.{f.name}" if name else f.name, getattr(value, f.name))
+    elif isinstance(value, (list, tuple)) and any(is_dataclass(one) for one in value):
+        for k, one in enumerate(value):
+            yield from _flat(f"{name}.{k}", one)
+    elif isinstance(value, (list, tuple, np.ndarray)):
+        yield name, np.asarray(value).tolist()
+    elif isinstance(value, np.generic):
+        yield name, value.item()
+    elif value is None or isinstance(value, (bool, int, float, str)):
+        yield name, value
+
+
+def changed(scene: Scene, numbers: Mapping[str, object]) -> Scene:
+    """The scene with some of its numbers changed, of those that may change during a run.
+
+    Raises:
+        InputError: a number that there is none of, that may not change, or that is out of range.
+    """
+    parts = {"material.": Material, "surroundings.": Surroundings, "numerics.": Numerics}
+    homes = {f.name: part for part, cls in parts.items() for f in fields(cls)} | {"dt": ""}
+    free = sorted(name for name, part in homes.items() if f"{part}{name}" not in STAY)
+    for name in numbers:
+        require(name in free, "a number that changes during a run", name, f"one of {', '.join(free)}")
+    given = {part: {n: v for n, v in numbers.items() if homes[n] == part} for part in parts}
+    made = {part[:-1]: replace(getattr(scene, part[:-1]), **values) for part, values in given.items()}
+    return replace(scene, **made, **{name: value for name, value in numbers.items() if name == "dt"})
+
+
+def compare(path: str | os.PathLike, was: Mapping, scene: Scene, changed: bool) -> None:
+    """Refuse a checkpoint of another scene, one whose numbers are `was`.
+
+    Raises:
+        InputError: tells which numbers differ.
+    """
+    now = describe(scene)
+    require(isinstance(was, dict), f"checkpoint {path}", "one without numbers of its scene", "ours")
+    keys = [key for key in {**was, **now} if was.get(key) != now.get(key)]
+    if changed:
+        keys = [key for key in keys if key in STAY or not key.startswith(MAY_CHANGE)]
+    if keys:
+        told = [f"{key} is {was.get(key, 'none')!r} there, {now.get(key, 'none')!r} here" for key in keys[:MOST_TOLD]]
+        more = f" and {len(keys) - MOST_TOLD} more" if len(keys) > MOST_TOLD else ""
+        what = "has numbers that cannot change during a run" if changed else "is of another scene"
+        raise InputError(f"checkpoint {path} {what}: {'; '.join(told)}{more}"[:1000])
+
+
+def write(
+    path: str | os.PathLike, scene: Scene, film: Mapping, state: State, notices: Notices, run: Mapping | None = None
+) -> None:
+    """Write a checkpoint, whole or not at all.
+
+    Args:
+        path: the file; one of that name is replaced.
+        scene: the scene.
+        film: spacing, radius and room.
+        state: the state.
+        notices: of the run.
+        run: what else the command line wants to know again; plain values.
+
+    Raises:
+        OSError: it cannot be written; what was there before still is.
+    """
+    header = {
+        "format": FORMAT,
+        "program": melp_warp.__version__,
+        "scene": describe(scene),
+        "film": dict(film),
+        "course": asdict(state.course),
+        "seen": [[values.tolist(), list(note)] for values, note in state.seen.contents()],
+        "notices": notices.save(),
+        "run": dict(run or {}),
+    }
+    members = {HEADER: np.frombuffer(json.dumps(header).encode(), dtype=np.uint8), **state.numpy()}
+    save_arrays(path, {**members, CHECKSUM: checksum(members)})
+
+
+def checksum(members: Mapping[str, np.ndarray]) -> np.ndarray:
+    """SHA-256 of all members but the checksum itself. [32] uint8."""
+    total = hashlib.sha256()
+    for name in sorted(members):
+        if name != CHECKSUM:
+            array = np.ascontiguousarray(members[name])
+            total.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+            total.update(array.reshape(-1).view(np.uint8).data)
+    return np.frombuffer(total.digest(), dtype=np.uint8)
+
+
+def read_header(path: str | os.PathLike) -> dict:
+    """The header of a checkpoint alone, not checked but for its format.
+
+    Raises:
+        InputError: the file cannot be read, or is none of this format.
+    """
+    members = load_arrays(path, {HEADER: ("i", 1)})
+    require(HEADER in members and members[HEADER].dtype == np.uint8, f"checkpoint {path}", "one without header", "ours")
+    try:
+        header = json.loads(members[HEADER].tobytes().decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"checkpoint {path} cannot be read: {str(error).splitlines()[0]}") from None
+    known = isinstance(header, dict) and header.get("format") == FORMAT
+    if not known:
+        told = f"{header.get('format')} of melp-warp {header.get('program')}" if isinstance(header, dict) else "none"
+        raise InputError(f"checkpoint {path} has format {told[:60]}, this melp-warp reads format {FORMAT}")
+    lacking = {"scene", "film", "course", "seen", "notices", "run"} - header.keys()
+    require(not lacking, f"checkpoint {path}", f"a header without {', '.join(sorted(lacking))}", "ours")
+    return header
+
+
+def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkpoint:
+    """Read a checkpoint of a scene and check it.
+
+    Args:
+        path: the file.
+        scene: what is to go on.
+        changed: whether numbers of the scene that may change during a run may differ from those in the file.
+
+    Raises:
+        InputError: the file cannot be read, is damaged, is of another scene, or holds what no run can have left.
+    """
+    header = read_header(path)
+    compare(path, header["scene"], scene, changed)
+    shapes, arrays = declared(), _load_all(path)
+    try:
+        course = check_course(header["course"], scene)
+        features = Features.of(scene, course.holed)
+        film = check_film(header["film"], scene, features.closed and not features.foam)
+        seen = check_seen(header["seen"])
+        needed = {name for name, (*_, when) in shapes.items() if when is None or when(features)}
+        if not course.labels:
+            needed.discard("b.mirror")  # no film, no frame
+        given = {name: array for name, array in arrays.items() if name in needed}
+        optional = {name for name in needed if changed and name.startswith("memory.")}
+        boundary = boundary_count(scene, film["spacing"])
+        check_stored(given, shapes, needed - optional, course, scene, boundary)
+        check_notices(header["notices"])
+        require(isinstance(header["run"], dict), "run", header["run"], "names and values")
+        _require_sum(arrays)
+    except InputError as error:
+        raise InputError(f"checkpoint {path} does not fit: {error}") from None
+    return Checkpoint(film, course, seen, header["notices"], header["run"], given)
+
+
+def check_sum(path: str | os.PathLike) -> None:
+    """Refuse a file that is not what was written: `InputError`."""
+    read_header(path)
+    try:
+        _require_sum(_load_all(path))
+    except InputError as error:
+        raise InputError(f"checkpoint {path} cannot be used: {error}") from None
+
+
+def _load_all(path: str | os.PathLike) -> dict[str, np.ndarray]:
+    """All members that a checkpoint may have."""
+    shapes = {name: (kind, len(columns) + (size is not None)) for name, (kind, size, columns, _) in declared().items()}
+    return load_arrays(path, {**shapes, HEADER: ("i", 1), CHECKSUM: ("i", 1)})
+
+
+def _require_sum(members: Mapping[str, np.ndarray]) -> None:
+    right = CHECKSUM in members and np.array_equal(members[CHECKSUM], checksum(members))
+    require(right, "checksum", "another", "that of what the file holds: it is damaged")

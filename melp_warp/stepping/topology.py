@@ -1,0 +1,177 @@
+"""Changes of topology between steps: regions that pop, merge or appear.
+
+They work on a state as `State.numpy` gives it, with the ids of the particles and the labels of the regions, and give a
+state of other sizes back, from which the run is set up anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from melp_warp.stages.state import AMOUNT, GAS_SLOTS, GAUGE, VOLUME, State
+
+AMOUNTS = ("mass", "surfactant", "circulation")
+"""What particles hold that adds up."""
+
+HEIRS = 128
+"""Particles that share what one particle of a broken partition leaves."""
+
+
+@dataclass
+class Stored:
+    """A foam's state on the host.
+
+    Attributes:
+        arrays: by name, as `State.numpy` names them.
+        ids: "e" and "l": [n] int64.
+        labels: the scene's number of each region.
+        spilled: liquid that left with films that popped, kg.
+    """
+
+    arrays: dict[str, np.ndarray]
+    ids: dict[str, np.ndarray]
+    labels: list[int] = field(default_factory=list)
+    spilled: float = 0.0
+
+    @classmethod
+    def of(cls, state: State) -> Stored:
+        """The state as it is now; what stages remember of it is of no use to another one."""
+        stored = state.numpy()
+        arrays = {k: a for k, a in stored.items() if not k.startswith(("memory.", "ids."))}
+        if "memory.area" in stored:
+            arrays["memory.area"] = stored["memory.area"]  # found from the L at the start
+        return cls(arrays, dict(state.ids), list(state.course.labels), state.course.spilled)
+
+    @property
+    def kinds(self) -> str:
+        """The particle sets there are, "e" or "el"."""
+        return "el" if "l.x" in self.arrays else "e"
+
+    def select(self, kind: str, chosen: np.ndarray) -> None:
+        """Keep the particles `chosen` (mask or indices) of one set, in that order."""
+        for name in self.arrays:
+            if name.startswith(f"{kind}."):
+                self.arrays[name] = self.arrays[name][chosen]
+        self.ids[kind] = self.ids[kind][chosen]
+
+    def region(self, kind: str) -> np.ndarray:
+        """[n] region of each particle."""
+        return self.arrays[f"{kind}.region"]
+
+    def drop_region(self, k: int) -> None:
+        """Forget region k, whose particles are gone, and number those after it anew."""
+        for name in ("gas", "motion"):
+            self.arrays[name] = np.delete(self.arrays[name], k, axis=0)
+        for kind in self.kinds:
+            region = self.region(kind)
+            region[region > k] -= 1
+        del self.labels[k]
+
+
+def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
+    """Remove region k. Liquid on its partitions goes to the regions beyond them, the rest is spilled.
+
+    Args:
+        stored: the state, changed in place.
+        k: index of the region.
+        partner_l: [n_l] region that each L's film is shared with, -1 for none; None without L.
+    """
+    if partner_l is not None:
+        region = stored.region("l")
+        shared = (region == k) & (partner_l >= 0)
+        region[shared] = partner_l[shared]
+        if "l.circulation" in stored.arrays:
+            stored.arrays["l.circulation"][shared] *= -1.0  # about the normal of the other side
+        stored.spilled += float(stored.arrays["l.mass"][region == k].sum(dtype=np.float64))
+        stored.select("l", region != k)
+    else:
+        stored.spilled += float(stored.arrays["e.mass"][stored.region("e") == k].sum(dtype=np.float64))
+    stored.select("e", stored.region("e") != k)
+    stored.drop_region(k)
+
+
+def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.ndarray]) -> None:
+    """Make regions k and `other` one, k, without the partition between them; its liquid goes to the film nearest.
+
+    Args:
+        stored: the state, changed in place.
+        k: index of the region that stays.
+        other: index of the one that goes.
+        partition: "e" and "l": [n] mask of the particles of the partition.
+    """
+    for kind in stored.kinds:
+        region = stored.region(kind)
+        both = (region == k) | (region == other)
+        region[both] = k
+        gone = both & partition[kind]
+        carriers = "l" if "l" in stored.kinds else "e"
+        if kind == carriers:
+            _hand_over(stored.arrays, kind, gone, both & ~gone)
+        stored.select(kind, ~gone)
+    gas = stored.arrays["gas"]
+    volume = gas[[k, other], VOLUME]
+    gas[k, GAUGE] = np.average(gas[[k, other], GAUGE], weights=volume)
+    gas[k, VOLUME], gas[k, AMOUNT] = volume.sum(), gas[[k, other], AMOUNT].sum()
+    stored.drop_region(other)
+    stored.select("e", np.argsort(stored.region("e"), kind="stable"))
+
+
+def _hand_over(arrays: dict[str, np.ndarray], kind: str, gone: np.ndarray, kept: np.ndarray) -> None:
+    """Give mass, surfactant and momentum of the particles that go to those nearest that stay, `HEIRS` to each."""
+    sources, targets = np.flatnonzero(gone), np.flatnonzero(kept)
+    if not len(sources) or not len(targets):
+        return
+    x, mass, u = arrays[f"{kind}.x"], arrays[f"{kind}.mass"], arrays[f"{kind}.u"]
+    heirs = min(HEIRS, len(targets))
+    nearest = np.concatenate(
+        [
+            targets[
+                np.argpartition(((x[part, None] - x[None, targets]) ** 2).sum(axis=2), heirs - 1, axis=1)[:, :heirs]
+            ]
+            for part in np.array_split(sources, 1 + len(sources) * len(targets) // 2_000_000)
+        ]
+    )
+    momentum = mass[:, None] * u
+    np.add.at(momentum, nearest, momentum[sources, None] / heirs)
+    for name in AMOUNTS:
+        amount = arrays.get(f"{kind}.{name}")
+        if amount is None:
+            continue
+        np.add.at(amount, nearest, amount[sources, None] / heirs)
+    met = np.unique(nearest)
+    u[met] = momentum[met] / mass[met, None]
+
+
+def add_region(
+    stored: Stored,
+    label: int,
+    particles: dict[str, dict[str, np.ndarray]],
+    gauge: float,
+    velocity: tuple[float, float, float],
+) -> None:
+    """Append a region; its volume and amount of gas are filled in where the volume is measured.
+
+    Args:
+        stored: the state, changed in place.
+        label: the scene's number of the region.
+        particles: "e" and "l": arrays of the new particles by name; what is missing is 0.
+        gauge: pressure over the atmosphere's, Pa.
+        velocity: of the region as a whole, m/s.
+    """
+    k = len(stored.labels)
+    for kind in stored.kinds:
+        count = len(particles[kind]["x"])
+        for name, array in stored.arrays.items():
+            if name.startswith(f"{kind}."):
+                new = np.zeros((count, *array.shape[1:]), dtype=array.dtype)
+                new[...] = k if name.endswith(".region") else particles[kind].get(name[2:], new)
+                stored.arrays[name] = np.concatenate([array, new])
+        first = stored.ids[kind].max(initial=-1) + 1
+        stored.ids[kind] = np.concatenate([stored.ids[kind], np.arange(first, first + count)])
+    gas = np.zeros((1, len(GAS_SLOTS)))
+    gas[0, GAUGE] = gauge
+    stored.arrays["gas"] = np.concatenate([stored.arrays["gas"], gas])
+    stored.arrays["motion"] = np.concatenate([stored.arrays["motion"], [velocity]])
+    stored.labels.append(label)
