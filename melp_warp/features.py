@@ -23,7 +23,7 @@ class Features:
         recoils: the film is closed and its uneven tension pushes liquid along it, so it moves the other way.
         air: the air's added mass takes part in the normal motion.
         dragged: the air's drag holds a closed film back as a whole.
-        exchanges: L cross between films that touch.
+        exchanges: liquid crosses between films that touch.
         foam: there are several regions, or walls, to touch.
         single: E are all particles there are, and carry the film along (`SingleLayer`).
         circulation: L carry circulation.

@@ -23,6 +23,7 @@ from melp_warp.kernels import motion as ko
 from melp_warp.kernels import regions as kr
 from melp_warp.kernels.native import CORNERS
 from melp_warp.stages.air import film_added_mass
+from melp_warp.stages.circulation import Circulation
 from melp_warp.stages.drag import AirDrag
 from melp_warp.stages.film import CONTACT_REACH, Film
 from melp_warp.stages.forces import Forces
@@ -31,6 +32,7 @@ from melp_warp.stages.membrane import close_volume
 from melp_warp.stages.neighbors import NeighborLists, check_room, fixed_rows
 from melp_warp.stages.state import State
 from melp_warp.stages.surfactant import Fields
+from melp_warp.stages.transfer import Transfer
 
 CONTACT_ROOM = 70
 """Room for the E that one E presses on, besides its star, over `Film.room`."""
@@ -58,7 +60,7 @@ JOINS = 4
 """Pairs of sweeps in which clusters are found; each may double the number of bubbles in a row that they reach."""
 
 EXCHANGE_INTERVAL = 1.0 / 240.0
-"""Least time between two exchanges of L, s."""
+"""Least time between two exchanges of liquid, s."""
 
 
 def make_contact(film: Film) -> kc.Contact:
@@ -74,41 +76,66 @@ def make_contact(film: Film) -> kc.Contact:
 
 
 class Exchange:
-    """L that cross between films that touch (section 5.5). Made only where a scene asks for it.
+    """Liquid that crosses between films that touch (section 5.5). Made only where a scene asks for it.
 
-    They cross before the first step that ends `EXCHANGE_INTERVAL` or more after the last exchange.
+    The paper lets L change sides by chance; here each gives a share of what it has, as large as that chance: what is
+    smooth stays smooth. Liquid crosses before the first step that ends `EXCHANGE_INTERVAL` or more after the last
+    exchange.
 
     Attributes:
-        due: whether L cross before the step to come.
+        due: whether it does before the step to come.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, fields: Fields):
-        self.film, self.state, self.lists, self.fields = film, state, lists, fields
-        self._number = wp.array(np.arange(film.n_l, dtype=np.int32), device=film.device)
-        self.due, self._seed, self._chance = False, Setting(film.device, wp.int32), Setting(film.device)
+    def __init__(
+        self,
+        film: Film,
+        state: State,
+        geometry: Geometry,
+        fields: Fields,
+        transfer: Transfer,
+        circulation: Circulation | None,
+    ):
+        self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
+        self.transfer, self.circulation = transfer, circulation
+        self.contact = make_contact(film)
+        self.due, self._time = False, Setting(film.device)
+        self._over, self._left = film.zeros(film.n_e), film.zeros(film.n_e)
+        self._gained, self._pushed = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e, wp.vec3)
 
     def prepare(self, dt: float) -> None:
-        """Set whether and how many L cross before a step of dt (s)."""
-        film, course, end = self.film, self.state.course, self.state.time + dt
+        """Set whether and how much crosses before a step of dt (s)."""
+        course, end = self.state.course, self.state.time + dt
         self.due = end - course.crossed > EXCHANGE_INTERVAL
         if self.due:
-            self._chance.at(-math.expm1(-film.numerics.exchange * (end - course.crossed)))
+            self._time.at(self.film.numerics.exchange * (end - course.crossed))
             course.crossed = end
-            self._seed.at(film.seed + round(240.0 * end))
 
     def apply(self, dt: wp.array) -> None:
-        """Let L cross; lists between E and L are to be rebuilt afterwards."""
-        film, e, lag = self.film, self.state.e, self.state.l
+        """Let liquid cross; follows the lists between E and L. E are to gather it anew."""
+        film, e, lag, transfer, lists = self.film, self.state.e, self.state.l, self.transfer, self.transfer.lists
+        transfer.l_to_e()
+        carried = None
+        if self.circulation is not None:
+            self.circulation.gather()
+            carried = self.circulation.carried
         self.fields.update()
-        film.launch_l(
-            kx.exchange_l,
+        area, claim, across = self.geometry.area, transfer.claim, [lists.eo.rows, self.contact]
+        film.launch_e(kx.weigh_across_e, [e.x, e.normal, area, claim, *across], [self._over])
+        film.launch_e(
+            kx.cross_e,
             [
-                *(lag.x, lag.v, self.lists.le.rows, self._number),
-                *map(Shared, (e.x, e.normal, self.lists.eo.rows)),
-                *(PARTNER_REACH * film.spacing, *map(Shared, (self.fields.gamma, self.fields.eta, e.region))),
-                *(self._seed.array, self._chance.array, dt),
+                *(e.x, e.normal, e.u, e.mass, e.surfactant, area, claim, self.fields.gamma, carried, self._over),
+                *(*across, self._time.array, dt),
             ],
-            [lag.region, lag.eta, lag.circulation],
+            [self._left, self._gained, self._pushed],
+        )
+        film.launch_l(
+            kx.cross_l,
+            [
+                *(e.normal, e.u, claim, self._left, self._gained, self._pushed),
+                *(transfer.weight, lists.le.rows, film.material.density),
+            ],
+            [lag.u, lag.mass, lag.surfactant, lag.eta, lag.circulation],
         )
 
 

@@ -334,9 +334,9 @@ class NeighborLists:
         if 2.0 * self._way(0) > self.skin:
             self.rebuild_e()
 
-    def update_l(self, anew: bool = False) -> None:
-        """Rebuild the lists between E and L if pairs could be missing before the coming step ends, or `anew` anyway."""
-        if self.le is not None and (anew or self._way(1) > self.skin):
+    def update_l(self) -> None:
+        """Rebuild the lists between E and L if pairs could be missing before the coming step ends."""
+        if self.le is not None and self._way(1) > self.skin:
             self.rebuild_l()
 
     def _way(self, which: int) -> float:

@@ -228,7 +228,7 @@ class Course:
         layer_speed: fastest wave of a single layer when it was first asked for, m/s; None before.
         builds: times that the lists of E and of L were built; 0 where they are to be built where particles are now.
         clock: time that the lists have seen, s.
-        crossed: time of the last exchange of L between films, s.
+        crossed: time of the last exchange of liquid between films, s.
         mixed: time of the last exchange of L that mix, s.
         unmixed: steps since then.
         fresh: whether a foam has done no step since it was set up.

@@ -90,7 +90,9 @@ class Stepper:
         self.e_advance = EulerianAdvance(film, state, self.lists, self.geometry) if f.moving else None
         self.redistribution = self.e_advance.redistribution if f.moving else None
         self.l_advance = LagrangianAdvance(film, state, self.lists, self.geometry) if f.lagrangian else None
-        self.exchange = Exchange(film, state, self.lists, self.fields) if f.exchanges else None
+        self.exchange = (
+            Exchange(film, state, self.geometry, self.fields, self.transfer, self.circulation) if f.exchanges else None
+        )
         self.budget = Budget(film, state, self) if f.budget else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
         still = film.zeros(1, wp.vec3)
@@ -173,10 +175,9 @@ class Stepper:
         self.wall[name] += time.perf_counter() - began
 
     def _find_neighbors(self) -> None:
-        crossing = self.exchange is not None and self.exchange.due
-        if crossing:
+        self.lists.update_l()
+        if self.exchange is not None and self.exchange.due:
             self.exchange.apply(self.dt.array)  # (27), (28)
-        self.lists.update_l(anew=crossing)
         if self.mixing is not None and self.mixing.due:
             self.mixing.apply()
 
