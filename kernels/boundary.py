@@ -88,7 +88,8 @@ def confine_l(
     outward: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     n_e: int,
-    gravity: wp.vec3,
+    gravity: wp.array(dtype=wp.vec3),
+    height: wp.vec3,
     hold: float,
     eta_l: wp.array(dtype=float),
     packed: float,
@@ -114,7 +115,8 @@ def confine_l(
         outward: [n_b] unit vectors o across the rim.
         rows: L:E neighbours; boundary particles, if any, are last in a row.
         n_e: number of E; boundary particle b is entry n_e + b of a row.
-        gravity: m/s^2.
+        gravity: [1] m/s^2.
+        height: its part that is stored as height, m/s^2.
         hold: 2 R T/spacing, J/(mol m).
         eta_l: [n_l] m.
         packed: rho/Gamma_0, kg/(mol m); 0 without surfactant.
@@ -139,11 +141,11 @@ def confine_l(
     o = -back / depth
     m = mass_l[i]
     c = surfactant_l[i]
-    if m > 0.0 and hold * c < m * wp.dot(gravity, o):
+    if m > 0.0 and hold * c < m * wp.dot(gravity[0], o):
         collected[i] = collected[i] + wp.vec2(m, c)
         impulse[i] = impulse[i] + m * u_l[i]
         if energy:
-            stored = -m * wp.dot(gravity, x_l[i] - back)
+            stored = -m * wp.dot(height, x_l[i] - back)
             if c > 0.0:
                 stored += 2.0 * rt * c * (wp.log(c * packed * eta_l[i] / m) - 1.0)
             energy[i] = energy[i] + wp.vec2(0.5 * m * wp.length_sq(u_l[i]), stored)
@@ -154,7 +156,7 @@ def confine_l(
         return
     lost = wp.max(wp.min(wp.dot(v_l[i], o), wp.dot(u_l[i], o)), 0.0)
     if energy:
-        energy[i] = energy[i] + wp.vec2(m * lost * (wp.dot(u_l[i], o) - 0.5 * lost), m * wp.dot(gravity, back))
+        energy[i] = energy[i] + wp.vec2(m * lost * (wp.dot(u_l[i], o) - 0.5 * lost), m * wp.dot(height, back))
     u_l[i] = u_l[i] - lost * o
     v_l[i] = v_l[i] - lost * o
     impulse[i] = impulse[i] + m * lost * o

@@ -203,6 +203,7 @@ def load_foam_e(
     vector: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
     mass: wp.array(dtype=float),
+    heavy: wp.array(dtype=float),
     body: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     balance: wp.array(dtype=wp.vec3),
@@ -230,6 +231,7 @@ def load_foam_e(
         vector: [n_e] gradient of the volume, m^2.
         area: [n_e] m^2.
         mass: [n_e] kg.
+        heavy: [n_e] the mass, and by how much outside forces fall as the velocity grows, kg.
         body: [n_e] acceleration by outside forces, m/s^2.
         region: [n] region of each E.
         balance: [regions] acceleration with which the normal loads of outside forces have no sum, m/s^2: what they do
@@ -245,7 +247,7 @@ def load_foam_e(
         dt: [1] s.
         b: [n_e] kg m/s.
         diag: [n_e] contact in, inertia added, kg.
-        inertia: [n_e] mass with the air's, and what damping from outside adds, kg.
+        inertia: [n_e] mass with the air's, and what damping and forces from outside add, kg.
         outer: [n_e] the load's part from outside the foam, kg m/s.
         sweep: [n_e] dt N.n, volume swept per normal speed, m^2 s.
         carried: [n_e] momentum of the region as a whole per normal speed, m n, kg.
@@ -259,9 +261,10 @@ def load_foam_e(
     weight = dt[0] * (mass[i] * wp.dot(body[i], n) - m * wp.dot(balance[g], n))
     damped = slow * wp.dot(u[i] - drift[g], n)
     b[i] = weight - damped + dt[0] * (load[i] + m * wp.dot(missing[g], n))
-    diag[i] = diag[i] + m + slow
+    outside = heavy[i] - mass[i]
+    diag[i] = diag[i] + m + slow + outside
     outer[i] = weight - held[g] * damped
-    inertia[i] = m + held[g] * slow
+    inertia[i] = m + held[g] * slow + outside
     sweep[i] = dt[0] * wp.dot(vector[i], n)
     carried[i] = m * n
     braked[i] = (1.0 - held[g]) * wp.vec2(damped, slow)

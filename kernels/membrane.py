@@ -262,9 +262,18 @@ def lower_residual_e(
     # outputs
     rhs: wp.array(dtype=float),
 ):
-    """(b - (m - mean) a x)/a: what the operator with even mass must be applied to. [n_e]."""
+    """(b - (m - mean) a x)/a: what the operator with even mass must be applied to. [n_e].
+
+    Where m is more than twice the mean, as an outside force holds the film, only a part of the way there from the last
+    `rhs`, that of `x`: the sweeps converge whatever m is.
+    """
     i = wp.tid()
-    rhs[i] = (b[i] - (mass[i] - mean[0] * area[i]) * x[i]) / area[i]
+    even = mean[0] * area[i]
+    more = mass[i] - even
+    wanted = (b[i] - more * x[i]) / area[i]
+    if more > even:
+        wanted = rhs[i] + even / more * (wanted - rhs[i])
+    rhs[i] = wanted
 
 
 @wp.kernel

@@ -82,24 +82,31 @@ def solve_motion_r(inertia: wp.array(dtype=wp.mat33), net: wp.array(dtype=wp.vec
 def weight_chunks(
     mass: wp.array(dtype=float),
     body: wp.array(dtype=wp.vec3),
+    inertia: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
     weight: wp.array(dtype=wp.vec4),
+    held: wp.array(dtype=float),
 ):
-    """Parts of each region's weight sum m body, N, and of its mass, kg."""
+    """Parts of each region's weight sum m body, N, of its mass, and of what its inertia has beyond that (null), kg."""
     c = wp.tid()
     start, stop = part_range(c, first, weight.shape[0])
     total = wp.vec4()
+    more = float(0.0)
     for i in range(start, stop):
         m = mass[i]
         b = m * body[i]
         total += wp.vec4(b[0], b[1], b[2], m)
+        more += inertia[i] - m
     weight[c] = total
+    if held:
+        held[c] = more
 
 
 @wp.kernel
 def carry_motion_r(
     weight: wp.array(dtype=wp.vec4),
+    held: wp.array(dtype=float),
     inertia: wp.array(dtype=wp.mat33),
     gas: wp.array2d(dtype=wp.float64),
     density: float,
@@ -116,6 +123,7 @@ def carry_motion_r(
 
     Args:
         weight: from `weight_chunks`.
+        held: from it; null for forces that do not depend on the velocity.
         inertia: parts of sum m n n, m with the air's share, kg.
         gas: gas slots.
         density: of the air that moves along, kg/m^3.
@@ -134,7 +142,10 @@ def carry_motion_r(
     inverse = wp.inverse(normal / size)
     whole[g] = size
     rigid[g] = (inverse * inverse - inverse) / size
-    fall[g] = wp.vec3(own[0], own[1], own[2]) / whole[g]
+    slow = whole[g]
+    if held:
+        slow += region_total(held, g, regions)
+    fall[g] = wp.vec3(own[0], own[1], own[2]) / slow
 
 
 @wp.kernel
@@ -235,14 +246,15 @@ def net_force_chunks(
     external: wp.array(dtype=float),
     normal: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=float),
+    inertia: wp.array(dtype=float),
     area: wp.array(dtype=float),
-    body: wp.array(dtype=wp.vec3),
+    gravity: wp.array(dtype=wp.vec3),
     lift: float,
     added: float,
     n: int,
     # outputs
     moment: wp.array(dtype=wp.mat33),
-    inertia: wp.array(dtype=wp.mat33),
+    whole: wp.array(dtype=wp.mat33),
     net: wp.array(dtype=wp.vec3),
     net_external: wp.array(dtype=wp.vec3),
     lifted: wp.array(dtype=wp.vec3),
@@ -254,16 +266,17 @@ def net_force_chunks(
         external: [n_e] Pa.
         normal: [n] unit normals.
         mass: [n_e] kg.
+        inertia: [n_e] what resists a change of velocity, m a, kg.
         area: [n_e] m^2.
-        body: [n_e] acceleration by outside forces, m/s^2.
+        gravity: [1] m/s^2.
         lift: share of the weight that the gas carries.
         added: mass per area that the air adds to rigid translation, kg/m^2.
         n: number of E.
         moment: parts of sum a n n.
-        inertia: parts of sum (a m + a added) n n.
+        whole: parts of sum (a m + a added) n n.
         net: parts of sum a f n.
         net_external: parts of sum a f_ext n.
-        lifted: parts of -sum lift m body.
+        lifted: parts of -sum lift m g.
     """
     c = wp.tid()
     size = (n + net.shape[0] - 1) // net.shape[0]
@@ -276,12 +289,12 @@ def net_force_chunks(
         ni = normal[i]
         nn = area[i] * wp.outer(ni, ni)
         s0 += nn
-        s1 += (mass[i] / area[i] + added) * nn
+        s1 += (inertia[i] / area[i] + added) * nn
         s2 += area[i] * force[i] * ni
         s3 += area[i] * external[i] * ni
-        s4 -= lift * mass[i] * body[i]
+        s4 -= lift * mass[i] * gravity[0]
     moment[c] = s0
-    inertia[c] = s1
+    whole[c] = s1
     net[c] = s2
     net_external[c] = s3
     lifted[c] = s4

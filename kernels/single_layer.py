@@ -107,6 +107,7 @@ def push_e(
     beyond: wp.array(dtype=float),
     own: wp.array(dtype=float),
     body: wp.array(dtype=wp.vec3),
+    hold: wp.array(dtype=float),
     rows: Neighbors,
     r: float,
     n_e: int,
@@ -140,6 +141,7 @@ def push_e(
         beyond: [n_b] the same of boundary particles.
         own: [n_e] a, m^2.
         body: [n_e] acceleration by outside forces, m/s^2.
+        hold: [n_e] inertia over mass where these fall as the velocity grows; null where they do not depend on it.
         rows: E:E neighbours.
         r: support radius, m.
         n_e: number of E; particles from here on are boundary.
@@ -194,7 +196,10 @@ def push_e(
     change = body[i] + (viscosity / eta[i]) * shear + force / m
     if wind:
         change += (drag / m) * wind[region[i]]
-    pushed[i] = tangential(v + dt[0] * change, n) / (1.0 + dt[0] * drag / m) + un * n
+    if hold:
+        pushed[i] = tangential(hold[i] * v + dt[0] * change, n) / (hold[i] + dt[0] * drag / m) + un * n
+    else:
+        pushed[i] = tangential(v + dt[0] * change, n) / (1.0 + dt[0] * drag / m) + un * n
 
 
 @wp.kernel

@@ -303,6 +303,8 @@ def accelerate_tangential_e(
     n_e: int,
     stiffness: float,
     body: wp.array(dtype=wp.vec3),
+    rate: wp.array(dtype=float),
+    hold: wp.array(dtype=float),
     drag: float,
     region: wp.array(dtype=wp.int32),
     wind: wp.array(dtype=wp.vec3),
@@ -325,7 +327,9 @@ def accelerate_tangential_e(
         gradient: [pairs] gradient weights over E alone, 1/m.
         n_e: number of E.
         stiffness: 2 R T Gamma_0/rho, m^3/s^2.
-        body: [n_e] acceleration by outside forces, m/s^2.
+        body: [n_e] acceleration by outside forces at rest, m/s^2.
+        rate: [n_e] by which it falls as the velocity grows, 1/s; null where no force depends on it.
+        hold: [n_e] inertia over mass there.
         drag: traction per speed, Pa s/m, taken implicitly.
         region: [n] region of each E.
         wind: [regions] velocity of the air along the film, m/s; null for air at rest.
@@ -353,7 +357,11 @@ def accelerate_tangential_e(
     un = wp.dot(v, n)
     if wind:
         fall += (drag / m) * wind[region[i]]
-    ut = tangential(v + dt[0] * fall, n) / (1.0 + dt[0] * drag / m)
+    ut = wp.vec3()
+    if hold:
+        ut = tangential((hold[i] - dt[0] * rate[i]) * v + dt[0] * fall, n) / (hold[i] + dt[0] * drag / m)
+    else:
+        ut = tangential(v + dt[0] * fall, n) / (1.0 + dt[0] * drag / m)
     u[i] = ut + un * n
 
 

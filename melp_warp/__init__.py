@@ -14,11 +14,13 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from melp_warp.cluster import Bubble, Cluster
     from melp_warp.errors import InputError, SimulationError
+    from melp_warp.keyframes import Keyframes
     from melp_warp.material import Material, Surroundings
     from melp_warp.numerics import Numerics
     from melp_warp.parameters import Key, declare
     from melp_warp.registry import load_scene, scene_names
     from melp_warp.scene import Scene
+    from melp_warp.scene_force import Force
     from melp_warp.shapes import Disc, Ellipsoid, Rectangle, Sphere, StarShaped
     from melp_warp.simulation import Simulation
     from melp_warp.usd.cache import CacheWriter, list_frames, read_frame
@@ -26,11 +28,13 @@ if TYPE_CHECKING:
 _HOMES = {
     "cluster": ("Bubble", "Cluster"),
     "errors": ("InputError", "SimulationError"),
+    "keyframes": ("Keyframes",),
     "material": ("Material", "Surroundings"),
     "numerics": ("Numerics",),
     "parameters": ("Key", "declare"),
     "registry": ("load_scene", "scene_names"),
     "scene": ("Scene",),
+    "scene_force": ("Force",),
     "shapes": ("Disc", "Ellipsoid", "Rectangle", "Sphere", "StarShaped"),
     "simulation": ("Simulation",),
     "usd": ("CacheWriter", "list_frames", "read_frame"),
@@ -42,8 +46,10 @@ __all__ = [
     "Cluster",
     "Disc",
     "Ellipsoid",
+    "Force",
     "InputError",
     "Key",
+    "Keyframes",
     "Material",
     "Numerics",
     "Rectangle",

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from melp_warp import units
 from melp_warp.errors import InputError, require
+from melp_warp.keyframes import Keyframes, split
 
 Value = float | int | str | None
 
@@ -30,6 +31,7 @@ class Key:
         auto: whether "auto" (None in Python) is taken as well.
         spoken: unit in which people say it, where that is another one: a number without a unit may be meant in it.
         usual: lowest and highest value that raise no doubt.
+        varies: whether it may change in time, by keyframes.
     """
 
     unit: str
@@ -42,6 +44,7 @@ class Key:
     auto: bool = False
     spoken: str = ""
     usual: tuple[float, float] | None = None
+    varies: bool = False
 
     @property
     def allowed(self) -> str:
@@ -52,7 +55,8 @@ class Key:
         low = f"above {self.low:g} and at most" if self.above else f"from {self.low:g} to"
         unit = "" if self.unit == "-" else f" {self.unit}"
         # .15g keeps large whole limits exact
-        return f"{kind} {low} {self.high:.15g}{unit}" + (" or auto" if self.auto else "")
+        more = (" or auto" if self.auto else "") + (" or keyframes, TIME:VALUE,..." if self.varies else "")
+        return f"{kind} {low} {self.high:.15g}{unit}{more}"
 
     @property
     def limits(self) -> str:
@@ -73,6 +77,8 @@ class Key:
             return self.check(name, text)
         if self.auto and text == "auto":
             return None
+        if ":" in text:
+            return self._keyframes(name, text)
         try:
             number = float(text)
         except ValueError:
@@ -80,6 +86,13 @@ class Key:
         if not self._holds(number) and self._meant(number):
             raise InputError(f"{name} must be {self.allowed}, got {_short(number)}: {self._meant(number)}")
         return self.check(name, number)
+
+    def _keyframes(self, name: str, text: str) -> Keyframes:
+        """Keyframes as typed: "0:0,0.5:9.81", with units if wanted."""
+        require(self.varies, name, text, f"{self.allowed}: it cannot change in time")
+        one = replace(self, varies=False)
+        frames = [(_TIME.parse(f"a time of {name}", time), one.parse(name, value)) for time, value in split(name, text)]
+        return Keyframes(frames, name)
 
     def _converted(self, name: str, text: str) -> float:
         """A number with a unit behind it, in this key's unit."""
@@ -102,6 +115,12 @@ class Key:
         if self.choices:
             require(value in self.choices, name, value, self.allowed)
             return value
+        if self.varies and isinstance(value, str) and ":" in value:
+            return (
+                value
+                if isinstance(value, Keyframes) and all(map(self._holds, value.values))
+                else self.parse(name, value)
+            )
         if not self._holds(value):
             raise InputError(f"{name} must be {self.allowed}, got {_short(value)}")
         return int(value) if self.whole else float(value)
@@ -128,6 +147,9 @@ class Key:
         if meant is None or not low <= meant <= high or abs(number) < 0.1:
             return ""
         return f"{number:g} {self.spoken} is {number:g}{self.spoken} or {_short(meant)}"
+
+
+_TIME = Key("s", "time of a keyframe", 0.0, 1e6)
 
 
 def _short(value: object) -> str:

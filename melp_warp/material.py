@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from melp_warp.errors import require
+from melp_warp.keyframes import Number, check_number, stays, value_at
 from melp_warp.keys import Key, at_least_zero, check_numbers, keys_of, positive, quantity, word
 
 GAS_CONSTANT = 8.31446261815324
@@ -70,13 +72,15 @@ AIR_MODELS = ("none", "added_mass")
 class Surroundings:
     """What acts on the film from outside.
 
-    `gravity` is a vector, along -y in scenes of the command line. `air_drag` 1 is the quasi-steady drag as measured.
+    `gravity` is a vector, along -y in scenes of the command line; each of its components is a number, `Keyframes` or a
+    function of time. `air_drag` 1 is the quasi-steady drag as measured.
     Where it is at work, `drag` is the traction of the speed against the film as a whole. `damping` is of foams, against
     their cluster as a whole; `lift` is of closed films.
     """
 
-    gravity: tuple[float, float, float] = quantity(
-        at_least_zero("m/s^2", "acceleration of gravity, downwards (-y)", 1e3, usual=(0.0, 100.0)), (0.0, 0.0, 0.0)
+    gravity: tuple[Number, Number, Number] = quantity(
+        at_least_zero("m/s^2", "acceleration of gravity, downwards (-y)", 1e3, usual=(0.0, 100.0), varies=True),
+        (0.0, 0.0, 0.0),
     )
     pressure: float = quantity(
         at_least_zero("Pa", "pressure of the air outside", 1e8, spoken="atm", usual=(1e3, 1e7)), 101325.0
@@ -98,7 +102,31 @@ class Surroundings:
 
     def __post_init__(self):
         check_numbers(self)
-        vector = self.gravity
-        three = len(vector) == 3 and all(isinstance(g, (int, float, np.number)) and np.isfinite(g) for g in vector)
-        require(three, "gravity", vector, "three numbers")
-        keys_of(Surroundings)["gravity"].check("gravity", float(np.linalg.norm(vector)))
+        key, vector = keys_of(Surroundings)["gravity"], self.gravity
+        require(len(vector) == 3, "gravity", vector, "three numbers")
+        for number in vector:
+            check_number("gravity", number, -key.high, key.high)
+        if self.steady:
+            key.check("gravity", float(np.linalg.norm(vector)))
+
+    @property
+    def steady(self) -> bool:
+        """Whether gravity stays the same."""
+        return all(map(stays, self.gravity))
+
+    @property
+    def height(self) -> tuple[float, float, float]:
+        """Gravity that is stored as height: all where it stays the same, else none, and what it does is work, m/s^2."""
+        return self.gravity if self.steady else (0.0, 0.0, 0.0)
+
+    def gravity_at(self, time: float) -> tuple[float, float, float]:
+        """Gravity at a time (s), m/s^2.
+
+        Raises:
+            InputError: a function of time gives none.
+        """
+        x, y, z = (value_at(number, time) for number in self.gravity)
+        high = keys_of(Surroundings)["gravity"].high
+        allowed = f"of at most {high:g} m/s^2"
+        require(math.hypot(x, y, z) <= high, f"gravity at {time:.4g} s", (x, y, z), allowed)
+        return x, y, z

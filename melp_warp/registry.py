@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
+from melp_warp.device.float64 import loader
 from melp_warp.errors import SCENE_FILE, InputError, from_scene, in_a_line
 from melp_warp.parameters import Parameters, Value, Values
 from melp_warp.scene import Scene
@@ -82,7 +83,7 @@ def _import_file(path: Path) -> ModuleType:
         raise InputError(f"unknown scene {str(path)!r}: there is no such file")
     # dataclasses and pickles in the file look their module up by name
     name = f"{SCENE_FILE}{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader(name, str(path)))
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:

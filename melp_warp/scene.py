@@ -15,6 +15,7 @@ from melp_warp.errors import require
 from melp_warp.keys import Key, at_least_zero, check_numbers, count, positive, quantity
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
+from melp_warp.scene_force import Force
 from melp_warp.shapes import Shape
 
 MOST_STEPS = 100_000
@@ -48,6 +49,8 @@ class Scene:
             than five E spacings a wave are refused.
         numerics: discretisation choices.
         bursting: punctures, and what becomes of rims.
+        forces: from outside, besides gravity: `Force`s, or Warp functions of place, time, velocity and thickness alone
+            (docs/add-a-force.md).
         gas: (time in s, amount over that at the start) of a closed single film, times rising; in between linear. It is
             blown up or let out. Empty for the amount that it starts with.
         opening: area of a hole that is held open and through which gas leaves, m^2.
@@ -69,6 +72,7 @@ class Scene:
     waves: Mapping[str, float] = field(default_factory=dict)
     numerics: Numerics = field(default_factory=Numerics)
     bursting: Bursting = field(default_factory=Bursting)
+    forces: Sequence[Force] = ()
     frames: int = quantity(count("frames after the first", 0, MOST_FRAMES), 100)
     fps: float = quantity(positive("1/s", "frames per simulated second", 1e6), 60.0)
     dt: float | None = quantity(
@@ -94,6 +98,7 @@ class Scene:
 
     def __post_init__(self):
         check_numbers(self)
+        object.__setattr__(self, "forces", tuple(map(Force.of, self.forces)))
         least = 1.0 / (self.fps * MOST_STEPS)
         allowed = f"at least {least:.3g} s, {MOST_STEPS:,} steps a frame"
         require(self.dt is None or self.dt >= least, "dt", self.dt, allowed)

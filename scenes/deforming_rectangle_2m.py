@@ -8,6 +8,7 @@ import numpy as np
 
 try:
     from melp_warp.errors import require
+    from melp_warp.keyframes import value_at
     from melp_warp.noise import Perlin
     from melp_warp.parameters import Key, Values, declare
     from melp_warp.scene import Scene
@@ -40,7 +41,7 @@ def build(p: Values) -> Scene:
     patches = Perlin(p.seed, p.noise_frequency, p.noise_octaves)
     mean, slope = p.thickness, p.contrast / p.height
     require(abs(p.contrast) < 2.0 * mean, "contrast", p.contrast, f"below twice the thickness, {2.0 * mean:g} m")
-    weight = p.density * p.gravity / (2.0 * p.material.rt)
+    weight = p.density * value_at(p.gravity, 0.0) / (2.0 * p.material.rt)
 
     def thickness(x):
         return (mean + slope * x[:, 1]) * (1.0 + p.noise * patches.even(x))

@@ -49,6 +49,11 @@ def install() -> None:
     sys.meta_path.insert(0, _Finder())
 
 
+def loader(name: str, path: str) -> SourceFileLoader | None:
+    """What loads a scene file in float64; None where the package is in float32, and Python's own loader does."""
+    return _Loader(name, path) if any(isinstance(finder, _Finder) for finder in sys.meta_path) else None
+
+
 def rewrite(source: str) -> str:
     """The text of a module in float64; every line stays where it is."""
     lines = source.encode().splitlines(keepends=True)

@@ -108,6 +108,7 @@ class Circulation:
     def take(self, flow: Tangential, dt: wp.array) -> None:
         """Let L take the circulation that the forces along the film make in a step of dt [1]; follows their solve."""
         film, e, lag, geometry = self.film, self.state.e, self.state.l, self.geometry
+        flow.forces.note_braking(flow.theta, dt, flow.push)
         if flow.push is not None and self.rim is not None:
             self.rim.mirror(flow.push)
         film.launch_e(
@@ -118,7 +119,7 @@ class Circulation:
                     flow.fields.gamma,
                     flow.gamma,
                     film.stiffness,
-                    flow.forces.body,
+                    flow.forces.still,
                     flow.push,
                     flow.theta,
                 ),

@@ -12,6 +12,7 @@ from melp_warp.device.launch import launch, launch_rows
 from melp_warp.features import Features
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
+from melp_warp.scene_force import Force
 
 CONTACT_REACH = 2.5
 """Distance along the sheets within which facing E of different regions act on each other, spacings."""
@@ -54,6 +55,7 @@ class Film:
         labels: the scene's number of each region.
         seed: of everything random.
         walls: planes that a foam touches.
+        forces: those that the scene brings along.
         radius: radius of the sphere of the film's volume, for the air's added mass; infinite for an open film, m.
         room: room of a neighbour list's row over the longest one when the list was made.
     """
@@ -72,6 +74,7 @@ class Film:
     labels: tuple[int, ...] = (0,)
     seed: int = 0
     walls: tuple[Wall, ...] = ()
+    forces: tuple[Force, ...] = ()
     rim: RimArrays | None = None
     radius: float = float("inf")
     room: float = ROOM
@@ -96,10 +99,14 @@ class Film:
         """Distance within which E of different regions know of each other, m."""
         return math.hypot(CONTACT_REACH, self.numerics.border) * self.spacing
 
+    def gravity_at(self, time: float) -> wp.vec3:
+        """Gravity at a time (s), m/s^2."""
+        return wp.vec3(*self.surroundings.gravity_at(time))
+
     @property
-    def gravity(self) -> wp.vec3:
-        """m/s^2."""
-        return wp.vec3(*self.surroundings.gravity)
+    def height(self) -> wp.vec3:
+        """Gravity that is stored as height, see `Surroundings.height`, m/s^2."""
+        return wp.vec3(*self.surroundings.height)
 
     @property
     def stiffness(self) -> float:

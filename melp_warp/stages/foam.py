@@ -179,6 +179,7 @@ class FoamMembrane:
         self._balance, self.drift, self._pull = (film.zeros(film.regions, wp.vec3) for _ in range(3))
         self._held, self.weight = film.zeros(film.regions), film.parts(wp.vec4)
         self._sought, self._owed, self._spin = memory.sought, memory.owed, memory.spin
+        self._hung = film.parts() if film.forces else None
         self._place = film.zeros(film.regions, wp.vec3)
         self._alone = wp.array(np.arange(film.regions, dtype=np.int32), device=film.device)
         self._cluster, self._joined = (film.zeros(film.regions, wp.int32) for _ in range(2))
@@ -346,11 +347,12 @@ class FoamMembrane:
     def _fall_freely(self, dt: wp.array) -> None:
         """What outside forces do to each region as a whole."""
         film, e = self.film, self.state.e
-        film.launch_parts(ko.weight_chunks, [e.mass, self.forces.body, film.first], [self.weight])
+        inputs = [e.mass, self.forces.body, self.forces.inertia, film.first]
+        film.launch_parts(ko.weight_chunks, inputs, [self.weight, self._hung])
         air = film.surroundings.air_density if film.features.air else 0.0
         film.launch_regions(
             ko.carry_motion_r,
-            [self.weight, self._inertia, self.state.gas, air],
+            [self.weight, self._hung, self._inertia, self.state.gas, air],
             [self.whole, self.response.rigid, self._fall],
         )
         arrays = [e.normal, e.mass, self.geometry.area, self.forces.body, self._bare, film.first]
@@ -434,7 +436,8 @@ class FoamMembrane:
         film.launch_e(
             kf.load_foam_e,
             [
-                *(e.normal, vector, geometry.area, e.mass, self.forces.body, e.region, self._balance, self.missing),
+                *(e.normal, vector, geometry.area, e.mass, self.forces.inertia, self.forces.body, e.region),
+                *(self._balance, self.missing),
                 *(self.drift, self._held, self.added, film.surroundings.damping, e.u, self.load, dt),
             ],
             [

@@ -123,6 +123,7 @@ class FreeRim:
     def advance(self, dt: float) -> None:
         """After the film's step of dt (s): pull, move and feed the rims."""
         film, e, rim, m = self.film, self.state.e, self.state.f, self.film.material
+        gravity = film.gravity_at(self.state.time + 0.5 * dt)
         clear(self._seen)
         film.launch_e(
             kr.see_film_f,
@@ -138,7 +139,7 @@ class FreeRim:
             kr.pull_rim_f,
             [
                 *(self._halfway, rim.normal, rim.flow, rim.film, rim.mass),
-                *(m.tension, film.slope, m.density, film.gravity, FOLLOW, dt),
+                *(m.tension, film.slope, m.density, gravity, FOLLOW, dt),
             ],
             [rim.inertia, rim.u, rim.growth],
         )

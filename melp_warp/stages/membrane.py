@@ -17,7 +17,6 @@ from melp_warp.stages.air_range import AirRange
 from melp_warp.stages.drag import AirDrag
 from melp_warp.stages.film import Film
 from melp_warp.stages.forces import Forces
-from melp_warp.stages.free_rim import FreeRim
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.notices import Notices
@@ -57,13 +56,12 @@ class FilmResponse:
     """Change of normal velocity under a load, (m (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b, without air.
 
     Attributes:
-        inertia: [n_e] what resists a change, kg: the mass of E, and what hangs on them.
+        inertia: [n_e] what resists a change, kg: see `Forces.heavy`.
         left_out: [1] what of c 2/R^2 is not in the matrix where steps are long, at the mean mass, kg/m^2.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
-        self.film, self.state, self.geometry = film, state, geometry
-        self.inertia = state.e.mass
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, inertia: wp.array):
+        self.film, self.state, self.geometry, self.inertia = film, state, geometry, inertia
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
         numerics = film.numerics
         self.load, self.unit = (
@@ -110,8 +108,8 @@ class AirResponse:
         left_out: as that of `FilmResponse`.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
-        self.film, self.geometry, self.state = film, geometry, state
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, inertia: wp.array):
+        self.film, self.geometry, self.state, self.inertia = film, geometry, state, inertia
         numerics, n = film.numerics, film.n_e
         self.solver = RationalLaplacian(
             n,
@@ -163,10 +161,12 @@ class AirResponse:
 
     def _respond(self, pair: _Pair) -> None:
         clear(pair.x)
+        if self.film.forces:
+            clear(self.solver.b)  # what the sweeps of an E that is held go on from
         for _ in range(SWEEPS):
             self.film.launch_e(
                 km.lower_residual_e,
-                [pair.b, self.state.e.mass, self.geometry.area, self.mean, pair.x],
+                [pair.b, self.inertia, self.geometry.area, self.mean, pair.x],
                 [self.solver.b],
             )
             self.solver.solve()
@@ -222,7 +222,6 @@ class Membrane:
         fields: Fields,
         forces: Forces,
         rim: Rim | None,
-        edge: FreeRim | None = None,
     ):
         self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
         self.forces, self.rim, self.lists = forces, rim, lists
@@ -249,11 +248,9 @@ class Membrane:
         if film.features.air and film.features.single:
             self.lumped = float(air.added_mass(6.0 / _size(film) ** 2, film.surroundings.air_density, film.radius))
         if film.features.air and not self.explicit:
-            self.response = AirResponse(film, state, lists, geometry)
+            self.response = AirResponse(film, state, lists, geometry, forces.inertia)
         else:
-            self.response = FilmResponse(film, state, lists, geometry)
-        if edge is not None:
-            self.response.inertia = edge.inertia
+            self.response = FilmResponse(film, state, lists, geometry, forces.heavy)
         self.air_range = None
         if film.features.air and film.features.closed and not self.explicit:
             self.air_range = AirRange(film, state, lists, geometry, self.response.poles, self.response.low)
@@ -352,24 +349,27 @@ class Membrane:
                 ],
                 [self.external],
             )
-        common = [self.force, self.external, e.normal, e.mass, self.geometry.area]
+        inertia = self.forces.inertia
         if film.features.closed:
             sums = [self.moment, self.inertia, self.net, self.net_external, self.lifted]
             film.launch_parts(
                 ko.net_force_chunks,
-                [*common, self.forces.body, film.surroundings.lift, self.rigid_air, film.n_e],
+                [
+                    *(self.force, self.external, e.normal, e.mass, inertia, self.geometry.area),
+                    *(self.forces.gravity, film.surroundings.lift, self.rigid_air, film.n_e),
+                ],
                 sums,
             )
             film.launch_one(ko.rigid_motion, sums, [self.rigid])
         film.launch_e(
             km.free_force_e,
-            [e.normal, e.mass, self.geometry.area, self.rigid, self.rigid_air],
+            [e.normal, inertia, self.geometry.area, self.rigid, self.rigid_air],
             [self.force, self.external],
         )
         film.launch_e(
             km.load_membrane_e,
             [
-                *(self.force, self.external, e.mass, self.geometry.area, self.geometry.weight, self.lists.ee.rows),
+                *(self.force, self.external, inertia, self.geometry.area, self.geometry.weight, self.lists.ee.rows),
                 *(film.n_e, self.blur, dt),
             ],
             [self.response.load.b, self.response.unit.b, self.response.diag],

@@ -25,8 +25,8 @@ class Rim:
         energy: [n_l] energy taken since then, of motion, and of height and surfactant, J; None without a budget.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
-        self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, gravity: wp.array):
+        self.film, self.state, self.lists, self.geometry, self._gravity = film, state, lists, geometry, gravity
         self.impulse_e, self.impulse_l, self.collected, self.energy = None, None, None, None
         if film.features.collects:
             self.impulse_e, self.impulse_l = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_l, wp.vec3)
@@ -56,7 +56,7 @@ class Rim:
             kb.confine_l,
             [
                 *(rim.anchors, rim.outward, self.lists.le.rows, film.n_e),
-                *(film.gravity, 2.0 * m.rt / film.spacing),
+                *(self._gravity, film.height, 2.0 * m.rt / film.spacing),
                 *(lag.eta, m.density / m.surfactant if m.surfactant > 0.0 else 0.0, m.rt),
             ],
             [lag.x, lag.u, lag.v, lag.mass, lag.surfactant, self.collected, self.impulse_l, self.energy],

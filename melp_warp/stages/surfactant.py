@@ -78,7 +78,7 @@ def drainage_length(film: Film, state: State) -> float:
     g is the weight along the film where it is steepest; a bubble that falls freely, without air, feels what `lift`
     holds back alone. Infinite without weight, 0 without surfactant. Reads back.
     """
-    g = np.array(film.surroundings.gravity)
+    g = np.array(film.surroundings.gravity_at(state.time))
     if film.features.closed and not film.features.foam and not film.features.air:
         g = g * film.surroundings.lift
     normal = state.e.normal.numpy()[: film.n_e].astype(np.float64)
@@ -107,7 +107,8 @@ class Tangential:
         before: [n] velocity of E at the start of the step, m/s; None where L do not look back at it.
         wind: [regions] velocity of the air along the film, m/s: that of the film as a whole where drag on the whole is
             told apart; None for air at rest.
-        push: [n] change of velocity by viscosity and drag over theta dt, m/s; None where L carry no circulation.
+        push: [n] change of velocity by viscosity, drag and forces as the film is not at rest over theta dt, m/s; None
+            where L carry no circulation.
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where neither the film recoils
             nor a rim is pulled at.
     """
@@ -129,7 +130,7 @@ class Tangential:
         self.path = film.zeros(film.total, wp.vec3)
         self.midpoint = film.numerics.flow == "midpoint"
         self._rate = fastest_rate(film)
-        rubbed = film.features.viscous or film.surroundings.drag > 0.0
+        rubbed = film.features.viscous or film.surroundings.drag > 0.0 or bool(film.forces)
         self.push = film.zeros(film.total, wp.vec3) if film.features.circulation and rubbed else None
         self.theta, self.bend, self._ahead = (film.zeros(1) for _ in range(3))
         self._least, self._most = Setting(film.device), Setting(film.device)
@@ -199,6 +200,7 @@ class Tangential:
         if self.viscous is not None:
             self._diffuse(ahead)
         self._note_push(1.0)
+        self.forces.take_flow()
         self.find_dilation()
         if self.solver is not None:
             self._solve_surfactant(ahead)
@@ -275,7 +277,7 @@ class Tangential:
                 self.lists.ee.rows,
                 film.n_e,
                 film.stiffness,
-                self.geometry.gain,
+                self.forces.ease,
                 self.forces.body,
                 dt,
             ],
@@ -301,7 +303,9 @@ class Tangential:
                 self.geometry.inner_gradient,
                 film.n_e,
                 film.stiffness,
-                self.forces.body,
+                self.forces.still,
+                self.forces.rate,
+                self.forces.hold,
                 film.surroundings.drag,
                 self.state.e.region,
                 self.wind,

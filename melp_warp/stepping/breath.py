@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from melp_warp.keyframes import Keyframes
 from melp_warp.stages.state import AMOUNT, AREA, GAUGE, VOLUME
 
 if TYPE_CHECKING:
@@ -40,14 +41,15 @@ class Breath:
     def __init__(self, simulation: Simulation):
         self._sim = simulation
         self.scene = simulation.scene
+        gas = self.scene.gas
+        self._amount = Keyframes(gas if gas and gas[0][0] == 0.0 else ((0.0, 1.0), *gas))
 
     def before_step(self, dt: float) -> None:
         """Let gas in or out for a step of dt (s)."""
         state, scene = self._sim.state, self.scene
         gas = state.gas.numpy()
         if scene.gas:
-            times, amounts = zip(*scene.gas, strict=True)
-            gas[0, AMOUNT] = state.course.gas * np.interp(state.time + dt, [0.0, *times], [1.0, *amounts])
+            gas[0, AMOUNT] = state.course.gas * self._amount.at(state.time + dt)
         else:
             around = scene.surroundings
             lost = dt * flow_through(scene.opening, gas[0, GAUGE], around.air_density)

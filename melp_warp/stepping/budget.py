@@ -150,7 +150,7 @@ class Budget:
             self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
-        self._falls = f.lagrangian and not f.moving and any(film.surroundings.gravity)
+        self._falls = f.lagrangian and not f.moving and any(film.surroundings.height)
         self._stretched, self._touched, self._swept, self._cover = (
             (film.zeros(film.n_e) for _ in range(4)) if f.foam else 4 * (None,)
         )
@@ -196,7 +196,7 @@ class Budget:
                 *(self._air(), membrane.taken if f.moving else None, self._bending),
                 membrane.rigid if held and not f.foam else None,
                 *(e.surfactant, film.material.rt, *self._widening()),
-                *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.gravity),
+                *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.height),
                 *(film.surroundings.drag, flow.wind if flow else None, film.surroundings.damping),
                 membrane.drift if f.foam else None,
                 flow.theta if flow else self._whole,
@@ -215,7 +215,7 @@ class Budget:
         )
         if self._falls:
             lag = self.state.l
-            inputs = [lag.mass, lag.v, lag.normal, lag.affine, film.gravity, flow.bend, s.dt.array, film.n_l]
+            inputs = [lag.mass, lag.v, lag.normal, lag.affine, film.height, flow.bend, s.dt.array, film.n_l]
             film.launch_parts(kb.fall_chunks, inputs, [self.part])
         if f.foam:
             self._book_foam()
@@ -388,7 +388,7 @@ class Budget:
         stored, opened, flow, begun = self.book.numpy()
         liquid, surfactant, *lying, free = self._lying.numpy().sum(axis=0).tolist()
         lifted = np.zeros(3) if self._rim is not None else liquid * self.state.origin
-        weighed = {"gravity": -float(np.dot(self.film.surroundings.gravity, lying[:3] + lifted))}
+        weighed = {"gravity": -float(np.dot(self.film.surroundings.height, lying[:3] + lifted))}
         if self._air_solver is not None:
             weighed["air"] = float(self._airs.numpy().sum())
         weighed["surfactant"] = free

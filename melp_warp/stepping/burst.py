@@ -96,7 +96,7 @@ class Burst:
             self._moved = True
         drops, air = sim.state.d, sim.scene.surroundings
         density = air.air_density if air.air != "none" else 0.0
-        inputs = [drops.mass, sim.scene.material.density, density, sim.film.gravity, dt]
+        inputs = [drops.mass, sim.scene.material.density, density, sim.film.gravity_at(sim.time - 0.5 * dt), dt]
         launch(kr.fly_d, drops.x.shape[0], inputs, [drops.x, drops.u], sim.device)
 
     def due(self) -> Callable[[Stored], None] | None:

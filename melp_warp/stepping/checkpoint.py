@@ -24,6 +24,7 @@ import melp_warp
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
 from melp_warp.files import load_arrays, save_arrays
+from melp_warp.keyframes import identity, stays
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
@@ -37,7 +38,7 @@ HEADER, CHECKSUM = "header", "checksum"
 MOST_TOLD = 6
 """Numbers that differ of which a message tells."""
 
-MAY_CHANGE = ("dt", "material.", "surroundings.", "numerics.")
+MAY_CHANGE = ("dt", "material.", "surroundings.", "numerics.", "forces.")
 """Numbers of a scene that may change during a run, or what their names begin with."""
 
 STAY = ("material.thickness", "material.surfactant", "numerics.layers", "numerics.support", "numerics.skin")
@@ -73,8 +74,11 @@ class Checkpoint:
 
 
 def describe(scene: Scene) -> dict[str, object]:
-    """The numbers and choices of a scene by name, as JSON can say them. Fields given by functions are left out."""
-    return {key: value for key, value in _flat("", scene) if key not in ("name", "frames")}
+    """The numbers and choices of a scene by name, as JSON can say them. Fields of points are left out."""
+    said = {key: value for key, value in _flat("", scene) if key not in ("name", "frames", "forces")}
+    for k, force in enumerate(scene.forces):
+        said |= {f"forces.{k}.{key}": value for key, value in force.describe().items()}
+    return said
 
 
 def _flat(name: str, value: object) -> Iterator[tuple[str, object]]:
@@ -86,6 +90,8 @@ def _flat(name: str, value: object) -> Iterator[tuple[str, object]]:
     elif isinstance(value, (list, tuple)) and any(is_dataclass(one) for one in value):
         for k, one in enumerate(value):
             yield from _flat(f"{name}.{k}", one)
+    elif isinstance(value, (list, tuple)) and not all(map(stays, value)):
+        yield name, [identity(one) if callable(one) else one for one in value]
     elif isinstance(value, (list, tuple, np.ndarray)):
         yield name, np.asarray(value).tolist()
     elif isinstance(value, np.generic):

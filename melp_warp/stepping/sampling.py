@@ -287,6 +287,7 @@ def film_of(scene: Scene, state: State, spacing: float, room: float | None = Non
         labels=tuple(labels),
         seed=scene.seed,
         walls=_walls_from(state.origin, scene.shape.walls) if features.foam else (),
+        forces=scene.forces,
         rim=rim,
         radius=radius,
         room=room,

@@ -99,7 +99,7 @@ class SingleLayer(Stepper):
             ks.push_e,
             [
                 *(e.x, e.u, e.normal, e.surfactant, fields.eta, fields.gamma, fields.beyond, fields.own),
-                *(self.forces.body, rows, film.r, film.n_e, fields.rim_area),
+                *(self.forces.body, self.forces.hold, rows, film.r, film.n_e, fields.rim_area),
                 *(m.density, m.surfactant, film.stiffness, symmetric, m.viscosity, film.surroundings.drag),
                 *(e.region, self.wind, self.dt.array),
             ],

@@ -73,14 +73,15 @@ class Stepper:
         self.lists = NeighborLists(film, state)
         self.geometry = Geometry(film, state, self.lists)
         self.fields = self._make_fields()
-        self.forces = Forces(film, state)
-        self.rim = Rim(film, state, self.lists, self.geometry) if f.rim else None
+        self.edge = FreeRim(film, state, self.lists, self.geometry, self.fields) if f.holed else None
+        hung = self.edge.inertia if self.edge is not None else None
+        self.forces = Forces(film, state, self.fields, self.geometry.gain, hung)
+        self.rim = Rim(film, state, self.lists, self.geometry, self.forces.gravity) if f.rim else None
         self.transfer = Transfer(film, state, self.lists, self.geometry) if f.lagrangian else None
         self.circulation = (
             Circulation(film, state, self.lists, self.geometry, self.transfer, self.rim) if f.circulation else None
         )
         self.mixing = Mixing(film, state, self.lists) if f.mixes else None
-        self.edge = FreeRim(film, state, self.lists, self.geometry, self.fields) if f.holed else None
         self.membrane = self._make_membrane() if f.moving else None
         self.tangential = (
             Tangential(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim)
@@ -116,7 +117,7 @@ class Stepper:
 
     def _make_membrane(self) -> Membrane | FoamMembrane:
         common = [self.film, self.state, self.lists, self.geometry, self.fields, self.forces]
-        return FoamMembrane(*common) if self.film.features.foam else Membrane(*common, self.rim, self.edge)
+        return FoamMembrane(*common) if self.film.features.foam else Membrane(*common, self.rim)
 
     def _table(self) -> dict[str, Callable[[], None]]:
         """The stages of a step in their order."""
@@ -150,7 +151,7 @@ class Stepper:
 
     def prepare(self, dt: float) -> wp.array:
         """Set what depends on the step dt (s) to come; `dt` as the stages take it."""
-        for stage in (self.exchange, self.mixing, self.transfer, self.membrane, self.tangential):
+        for stage in (self.forces, self.exchange, self.mixing, self.transfer, self.membrane, self.tangential):
             if stage is not None:
                 stage.prepare(dt)
         self.lists.expect(dt)
@@ -204,6 +205,7 @@ class Stepper:
         self.membrane.solve(self.dt.array)  # (12), gas
         if self.tangential is None:
             self._slow_down(self._all)
+            self.forces.settle(self._all, self.dt.array)
             if self.budget is not None:
                 self.budget.book_forces()
         self._guard_e("membrane")
@@ -225,6 +227,7 @@ class Stepper:
 
     def _scatter(self) -> None:
         flow = self.tangential
+        self.forces.settle(flow.theta, self.dt.array)
         if self.circulation is not None:
             self.circulation.take(flow, self.dt.array)
         self.transfer.e_to_l(flow.widening, flow.before, flow.theta)  # (16)-(18), (8)
