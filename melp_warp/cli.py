@@ -184,6 +184,12 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
         action="append",
         help="puncture the film at the point nearest to X,Y,Z (m) at time T (s), hole of radius R; may be repeated",
     )
+    run.add_argument(
+        "--writer",
+        metavar="FILE.py:CLASS",
+        action="append",
+        help="write the frames with this, too: a class in a file or, as MODULE:CLASS, in a module; may be repeated",
+    )
     run.add_argument("--start", metavar="N", type=int, help="number of the first frame (default: 0)")
     over = run.add_mutually_exclusive_group()
     over.add_argument("--resume", action="store_true", help="go on with the run in DIR, or extend it to more --frames")
@@ -360,6 +366,7 @@ def _run(options: argparse.Namespace) -> int:
         "first": options.start,
         "budget": False if options.no_budget else None,
         "punctures": ";".join(options.puncture) if options.puncture else None,
+        "writers": ";".join(options.writer) if options.writer else None,
     }
     for text in options.puncture or ():
         Puncture.parse(text)
@@ -373,7 +380,15 @@ def _run(options: argparse.Namespace) -> int:
         writes = options_of(start, writes, same=options.resume)
     else:
         values = quality.values(script, given)
-        usual = {"full": False, "mesh": False, "whole": False, "first": 0, "budget": True, "punctures": ""}
+        usual = {
+            "full": False,
+            "mesh": False,
+            "whole": False,
+            "first": 0,
+            "budget": True,
+            "punctures": "",
+            "writers": "",
+        }
         writes = usual | {k: v for k, v in writes.items() if v is not None}
     budget, scene = writes.pop("budget"), script.build(values)
     more = [Puncture.parse(text) for text in writes["punctures"].split(";") if text]

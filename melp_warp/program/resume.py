@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,16 +21,17 @@ LOG = "run.jsonl"
 CHECKPOINT = "checkpoint.npz"
 OLDER, NEWER = "checkpoint.old.npz", "checkpoint.new.npz"
 CONTACT = "contact.png"
+EXTRAS = "writers"
 PICTURES = {"preview.png", CONTACT, "budget.png"}
 
-OURS = {ROOT, MANIFEST, LOOK, STAGE, SCRIPT, TABLES, FRAMES, LOG, CHECKPOINT, OLDER, NEWER, *PICTURES}
+OURS = {ROOT, MANIFEST, LOOK, STAGE, SCRIPT, TABLES, FRAMES, LOG, CHECKPOINT, OLDER, NEWER, EXTRAS, *PICTURES}
 """What a run, and what draws it, writes into its folder."""
 
 _LEFTOVER = re.compile(r"\..+\.tmp\.\w+")
 """Temporaries of a writer that was killed, see `files.replacing`; USD has its own, which end in six random letters."""
 
 
-NAMES = {"first": "start", "budget": "no-budget", "punctures": "puncture"}
+NAMES = {"first": "start", "budget": "no-budget", "punctures": "puncture", "writers": "writer"}
 """Options of the command line that have another name."""
 
 OPTIONS = {
@@ -41,6 +43,7 @@ OPTIONS = {
     "first": int,
     "budget": bool,
     "punctures": str,
+    "writers": str,
 }
 """What a run writes besides the numbers of its scene, see `Start`."""
 
@@ -92,6 +95,8 @@ class Start:
         }
         right = isinstance(run, dict) and set(run) == set(kinds)
         right = right and all(isinstance(run[name], kind) for name, kind in kinds.items()) and _is_plain(run["line"])
+        if right:
+            run = {**run, "options": {"writers": "", **run["options"]}}  # which runs had not from the beginning
         if not right or set(run["options"]) != set(OPTIONS) or run["options"]["export"] not in (None, "l", "e", "both"):
             raise InputError(f"checkpoint {path} was not written by a run of the command line")
         for name, kind in OPTIONS.items():
@@ -195,7 +200,8 @@ def clear(folder: Path) -> None:
     remove_leftovers(folder)
     with contextlib.suppress(OSError):  # there is something of somebody else's in it
         (folder / FRAMES).rmdir()
-    for name in OURS - {FRAMES}:
+    shutil.rmtree(folder / EXTRAS, ignore_errors=True)
+    for name in OURS - {FRAMES, EXTRAS}:
         (folder / name).unlink(missing_ok=True)
 
 

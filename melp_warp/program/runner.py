@@ -11,7 +11,7 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +25,7 @@ from melp_warp.parameters import Value
 from melp_warp.program.resume import (
     CHECKPOINT,
     CONTACT,
+    EXTRAS,
     LOG,
     NEWER,
     OLDER,
@@ -36,10 +37,10 @@ from melp_warp.program.resume import (
     find_start,
 )
 from melp_warp.program.room import ALL, Room, Written, check_disk, check_memory
+from melp_warp.program.writers import USD, Moment, find_writer, find_writers, make_surfaces, mesh_prims
 from melp_warp.scene import Scene
 
 if TYPE_CHECKING:
-    from melp_warp.frame import ParticleFrame
     from melp_warp.preview.pictures import Shot
     from melp_warp.program.estimate import Estimate
     from melp_warp.registry import SceneScript
@@ -98,6 +99,7 @@ class Plan:
         triangles: how many a frame's meshes are to have in all, about; None for as many as there are L.
         whole: whether to write one mesh of the whole foam in their place.
         first: number of the first frame.
+        writers: names of writers besides that of the cache, "NAME;NAME", see `writers.find_writer`.
         punctures: those that were asked for besides the scene's, "x,y,z,t;..."; the scene has them.
         every: when to write checkpoints.
         overwrite: whether `out` may hold a run, which is removed then.
@@ -120,6 +122,7 @@ class Plan:
     whole: bool = False
     first: int = 0
     punctures: str = ""
+    writers: str = ""
     every: Every = Every()
     overwrite: bool = False
     start: Start | None = None
@@ -159,7 +162,8 @@ def run(plan: Plan) -> int:
                 simulation.notices.first = plan.first
                 with finish_first(), _unblocked(plan):
                     output = _Output(plan, simulation)
-                    _simulate(simulation, plan.scene.frames, output, progress)
+                    with contextlib.closing(output):
+                        _simulate(simulation, plan.scene.frames, output, progress)
             _write_stage(plan.out)
             images = _draw_run(plan) if plan.preview else []
     except KeyboardInterrupt as error:
@@ -177,6 +181,7 @@ def _check_numbers(plan: Plan) -> None:
     most = MAX_FRAME - plan.scene.frames
     require(0 <= plan.first <= most, "--start", plan.first, f"a whole number from 0 to {most}")
     _check_triangles(plan.triangles)
+    find_writers(plan.writers)
 
 
 def _check_triangles(triangles: int | None) -> None:
@@ -373,76 +378,43 @@ class _Output:
     """
 
     def __init__(self, plan: Plan, simulation: Simulation):
-        from melp_warp.usd.cache import DROPS, FREE_RIMS, CacheWriter, store_floors
-
         self._folder, self._plan = plan.out, plan
         self.empty_from: int | None = plan.start.empty_from if plan.start else None
-        shown = "l" if simulation.has_l and plan.export != "e" else "e"
-        self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
-        if plan.scene.bursting.possible:
-            self._sets |= {FREE_RIMS: "rims", DROPS: "drops"}
-        metadata = {
-            "scene": plan.name,
-            "seed": plan.scene.seed,
-            "device": plan.device,
-            "particles": self._sets,
-            "parameters": {key: "auto" if value is None else value for key, value in plan.parameters.items()},
-        }
-        if plan.scene.slow_motion > 1.0:
-            slow = {"factor": plan.scene.slow_motion, "from": plan.scene.slow_from}
-            ends = {} if plan.scene.slow_until is None else {"until": plan.scene.slow_until}
-            metadata["slowMotion"] = slow | ends
-        origin = simulation.particles(shown).origin
-        self._rims = [rim - np.array(origin) for rim in plan.scene.shape.edges()]
-        floors = [wall for wall in getattr(plan.scene.shape, "walls", ()) if not wall.pops]
-        metadata |= store_floors([(np.subtract(wall.point, origin), wall.normal) for wall in floors])
-        self._surfaces = _mesh_prims(_all_regions(plan.scene), plan.whole) if plan.mesh else []
-        prims = [*self._sets, *self._surfaces]
-        packed = [prim for prim, which in self._sets.items() if which == "l" and not plan.full]
         there = cut_back(plan.start) if plan.goes_on else None
         if plan.overwrite:
             clear(plan.out)
-        self._cache = CacheWriter(
-            plan.out, plan.scene.fps, metadata, prims, origin=origin, rims=self._rims, packed=packed, there=there
-        )
+        self._cache, self._others = find_writer(USD)(), find_writers(plan.writers)
+        self._cache.open(plan.out, plan, simulation, there)
+        for writer in self._others:
+            writer.open(plan.out / EXTRAS, plan, simulation, there)
         self.has_present = plan.goes_on and plan.start.written
         self._line = plan.start.line if plan.goes_on else {}
         self._kept, self._when = simulation.frame, time.monotonic()
 
     def write(self, simulation: Simulation) -> dict:
         """Write the present frame and return its diagnostics."""
-        wanted = set(self._sets.values())
-        if self._plan.mesh:
-            wanted |= {"e", "l"} if simulation.has_l else {"e"}
-        sets: dict[str, ParticleFrame] = {which: simulation.particles(which) for which in sorted(wanted)}
-        number = self._plan.first + simulation.frame
-        prims = {prim: sets[which] for prim, which in self._sets.items()}
-        meshes, problems = self._meshes(sets) if self._plan.mesh else ({}, [])
-        tempo = self._plan.scene.tempo(simulation.frame)
-        for frame in (*sets.values(), *meshes.values()) if tempo != 1.0 else ():
-            frame.velocities = frame.velocities * np.float32(tempo)  # a second of what is shown
+        moment = Moment(self._plan, simulation)
+        problems = moment.problems
         diagnostics = self._line
-        if diagnostics.get("frame") != number:  # else it failed to be written before the run was resumed
+        if diagnostics.get("frame") != moment.number:  # else it failed to be written before the run was resumed
             diagnostics = simulation.diagnostics() | ({"mesh_problems": problems} if self._plan.mesh else {})
             if problems:
                 simulation.notices.add(simulation.frame, "mesh not closed", len(problems), "; ".join(problems))
-        self._line = _plain({**diagnostics, "frame": number})
-        sums = self._cache.write(number, prims | meshes)
-        self._line["sha256"] = sums
+        self._line = _plain({**diagnostics, "frame": moment.number})
+        for writer in self._others:
+            writer.write(moment)
+        self._line["sha256"] = self._cache.write(moment)
         self._log(self._line)
-        if any(len(one.points) for one in sets.values()):
+        if not moment.empty:
             self.empty_from = None
         elif self.empty_from is None:
-            self.empty_from = number
+            self.empty_from = moment.number
         return diagnostics
 
-    def _meshes(self, sets: Mapping[str, ParticleFrame]) -> tuple[dict, list[str]]:
-        """The meshes of the present frame by prim, and what could not be closed."""
-        from melp_warp.usd.cache import frame_kind
-
-        plan, e = self._plan, sets["e"]
-        made, problems = _make_surfaces(e, sets.get("l"), self._rims, plan.triangles, plan.whole, sets.get("rims"))
-        return {prim: made.get(prim) or frame_kind(prim).empty(e.origin) for prim in self._surfaces}, problems
+    def close(self) -> None:
+        """Let the writers end."""
+        for writer in (self._cache, *self._others):
+            writer.close()
 
     def _log(self, line: Mapping) -> None:
         """Append a line to the log, whole or not at all."""
@@ -482,11 +454,6 @@ class _Output:
             return f"{kept}, {CHECKPOINT} could not be written: {error.strerror}"
         self._kept, self._when = simulation.frame, time.monotonic()
         return f"{kept} and the last good state in {CHECKPOINT}"
-
-
-def _all_regions(scene: Scene) -> range:
-    """Regions that a scene has at any time, by the numbers of its bubbles."""
-    return range(len(getattr(scene.shape, "bubbles", (None,))))
 
 
 def _plain(value: object) -> object:
@@ -583,39 +550,12 @@ def mesh_cache(folder: Path, triangles: int | None = None, whole: bool = False) 
         lagrangian = read_frame(folder, frame) if root["with_l"] else None
         e = read_frame(folder, frame, source)
         beads = read_frame(folder, frame, FREE_RIMS) if FREE_RIMS in root["prims"] else None
-        meshes, found = _make_surfaces(e, lagrangian, rims, triangles, whole, beads)
+        meshes, found = make_surfaces(e, lagrangian, rims, triangles, whole, beads)
         problems.extend(f"frame {frame}: {problem}" for problem in found)
         return meshes
 
-    _renew_sums(folder, add_meshes(folder, make, _mesh_prims(regions, whole)))
+    _renew_sums(folder, add_meshes(folder, make, mesh_prims(regions, whole)))
     return problems
-
-
-def _mesh_prims(regions: Sequence[int], whole: bool) -> list[str]:
-    """Names of the meshes of these regions from /World."""
-    from melp_warp.usd.cache import WHOLE, surface_prim
-
-    return [WHOLE] if whole else [surface_prim(region) for region in regions]
-
-
-def _make_surfaces(
-    e: ParticleFrame,
-    lagrangian: ParticleFrame | None,
-    rims: Sequence,
-    triangles: int | None,
-    whole: bool,
-    beads: ParticleFrame | None,
-) -> tuple[dict, list[str]]:
-    """The meshes of a frame by prim, and what could not be closed."""
-    from melp_warp.mesh.outline import mesh_torn
-    from melp_warp.mesh.whole import make_whole
-    from melp_warp.usd.cache import WHOLE, surface_prim
-
-    if whole:
-        mesh, problems = make_whole(e, lagrangian, rims, triangles)
-        return {WHOLE: mesh}, problems
-    made, problems = mesh_torn(e, lagrangian, rims, beads, triangles)
-    return {surface_prim(region): mesh for region, mesh in made.items()}, problems
 
 
 def _renew_sums(folder: Path, sums: Mapping[str, str]) -> None:
