@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from melp_warp.carried import Carried
     from melp_warp.cluster import Bubble, Cluster
     from melp_warp.errors import InputError, SimulationError
     from melp_warp.keyframes import Keyframes
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from melp_warp.usd.cache import CacheWriter, list_frames, read_frame
 
 _HOMES = {
+    "carried": ("Carried",),
     "cluster": ("Bubble", "Cluster"),
     "errors": ("InputError", "SimulationError"),
     "keyframes": ("Keyframes",),
@@ -43,6 +45,7 @@ _HOMES = {
 __all__ = [
     "Bubble",
     "CacheWriter",
+    "Carried",
     "Cluster",
     "Disc",
     "Ellipsoid",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from melp_warp.carried import Carried
 from melp_warp.cluster import Cluster
 from melp_warp.scene import Scene
 
@@ -33,6 +34,7 @@ class Features:
             comes and goes.
         bursts: the film may get holes.
         holed: it has got them: what it enclosed, and the air around it, count no more.
+        carried: what L carry besides liquid and surfactant.
     """
 
     closed: bool
@@ -54,6 +56,7 @@ class Features:
     budget: bool
     bursts: bool
     holed: bool
+    carried: tuple[Carried, ...]
 
     @classmethod
     def of(cls, scene: Scene, holed: bool = False) -> Features:
@@ -85,6 +88,7 @@ class Features:
             budget=scene.budget and not (single or scene.bursting.possible or scene.breathes),
             bursts=scene.bursting.possible,
             holed=holed,
+            carried=scene.carried,
         )
 
     @property
@@ -106,7 +110,8 @@ class Features:
             "drag": self.dragged,
             "air_range": self.air and self.closed and not (self.foam or self.explicit),
             "l_lists": self.lagrangian,
-            "circulation": self.circulation,
+            "circulation": self.circulation or bool(self.carried),
+            "carried": bool(self.carried),
             "mixing": self.mixes,
             "boundary": self.rim,
             "single_layer": self.single,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +25,7 @@ class ParticleFrame:
         region: [n] int32, index of the film region.
         black_film: [n] int32, 1 where the film is at most `BLACK_FILM` thick, else 0.
         origin: where the points are measured from, m; the same in all frames of a run.
+        carried: name -> [n] float32, what the scene declares besides, in its unit.
     """
 
     points: np.ndarray
@@ -35,14 +37,16 @@ class ParticleFrame:
     region: np.ndarray
     black_film: np.ndarray
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    carried: dict[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> ParticleFrame:
+    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0), carried: Sequence[str] = ()) -> ParticleFrame:
         """A frame without particles."""
         vectors, numbers = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
         integers = np.zeros(0, np.int32)
         ids = np.zeros(0, np.int64)
-        return cls(vectors, vectors, ids, numbers, vectors, numbers, integers, integers, origin)
+        more = dict.fromkeys(carried, numbers)
+        return cls(vectors, vectors, ids, numbers, vectors, numbers, integers, integers, origin, more)
 
 
 @dataclass

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from melp_warp.bursting import Bursting
+from melp_warp.carried import Carried
 from melp_warp.cluster import Cluster
 from melp_warp.errors import require
 from melp_warp.keys import Key, at_least_zero, check_numbers, count, positive, quantity
@@ -51,6 +52,7 @@ class Scene:
         bursting: punctures, and what becomes of rims.
         forces: from outside, besides gravity: `Force`s, or Warp functions of place, time, velocity and thickness alone
             (docs/add-a-force.md).
+        carried: what L carry besides liquid and surfactant (docs/carried.md).
         gas: (time in s, amount over that at the start) of a closed single film, times rising; in between linear. It is
             blown up or let out. Empty for the amount that it starts with.
         opening: area of a hole that is held open and through which gas leaves, m^2.
@@ -73,6 +75,7 @@ class Scene:
     numerics: Numerics = field(default_factory=Numerics)
     bursting: Bursting = field(default_factory=Bursting)
     forces: Sequence[Force] = ()
+    carried: Sequence[Carried] = ()
     frames: int = quantity(count("frames after the first", 0, MOST_FRAMES), 100)
     fps: float = quantity(positive("1/s", "frames per simulated second", 1e6), 60.0)
     dt: float | None = quantity(
@@ -104,6 +107,7 @@ class Scene:
         require(self.dt is None or self.dt >= least, "dt", self.dt, allowed)
         if self.numerics.layers == 1:
             object.__setattr__(self, "l_per_e", 0)
+        self._check_carried()
         if self.bursting.possible:
             self._check_bursting()
         self._check_gas()
@@ -116,6 +120,15 @@ class Scene:
         else:
             damping = self.surroundings.damping
             require(damping == 0.0, "damping", damping, "0 for a single film: it is of foams")
+
+    def _check_carried(self) -> None:
+        """Refuse what nothing carries."""
+        object.__setattr__(self, "carried", tuple(self.carried))
+        names = [getattr(one, "name", one) for one in self.carried]
+        right = all(isinstance(one, Carried) for one in self.carried) and len(set(names)) == len(names)
+        require(right, "carried", names, "Carried quantities, each name once")
+        require(not names or self.l_per_e > 0, "carried", names, "none for a film without L: l_per_e at least 1")
+        require(not (names and self.bursting.possible), "carried", names, "none for a film that may burst")
 
     def _check_gas(self) -> None:
         """Refuse gas that no film holds, or that does not say when how much there is."""

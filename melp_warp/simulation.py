@@ -457,7 +457,7 @@ class Simulation:
         if which in ("rims", "drops"):
             return self.burst.particles(which)
         if self.gone:
-            return ParticleFrame.empty(tuple(self.origin.tolist()))
+            return ParticleFrame.empty(tuple(self.origin.tolist()), [one.name for one in self.scene.carried])
         n = self.film.n_l if which == "l" else self.film.n_e
         if which == "l":
             lag = self.state.l
@@ -488,7 +488,19 @@ class Simulation:
             region=region[order],
             black_film=(thickness <= BLACK_FILM).astype(np.int32),
             origin=tuple(self.origin.tolist()),
+            carried={name: held.astype(np.float32)[order] for name, held in self._carried(which, area).items()},
         )
+
+    def _carried(self, which: str, area: np.ndarray) -> dict[str, np.ndarray]:
+        """What the scene declares, of particles with these areas (m^2), in its units."""
+        carried, state, carriage = self.scene.carried, self.state, self.stepper.carriage
+        if not carried:
+            return {}
+        if which == "l":
+            return {one.name: one.shown(state.carried[one.name].numpy(), area, state.l.mass.numpy()) for one in carried}
+        self.stepper.transfer.normalize()
+        mass = carriage.gather_mass().numpy()
+        return {one.name: one.shown(carriage.gather(one.name).numpy(), area, mass) for one in carried}
 
     def _e_velocity(self) -> np.ndarray:
         """[n_e, 3] m/s at which the E themselves move, (19): with the surface, while the liquid flows past them."""
@@ -529,6 +541,7 @@ class Simulation:
             **(self.burst.diagnostics() if self.burst is not None else {}),
             "mass": sums[0],
             "surfactant": sums[1],
+            **self._totals(),
             "momentum": sums[2:5].tolist(),
             "kinetic_energy": sums[5],
             "surface_energy": self._surface_energy(),
@@ -559,6 +572,7 @@ class Simulation:
             **(self._border_diagnostics() if self.state.border is not None else {}),
             **(self.burst.diagnostics() if self.burst is not None else {}),
             **dict.fromkeys(("mass", "surfactant"), 0.0),
+            **self._totals(),
             "momentum": [0.0, 0.0, 0.0],
             **dict.fromkeys(("kinetic_energy", "surface_energy", "max_speed"), 0.0),
             **dict.fromkeys(("thickness_min", "thickness_mean", "thickness_max", "thickness_std"), None),
@@ -568,6 +582,12 @@ class Simulation:
             **({"budget": self.ledger.line()} if self.ledger is not None else {}),
             "wall_ms": {},
         }
+
+    def _totals(self) -> dict:
+        """All there is of what the scene declares; nothing where it declares none."""
+        carried, carriage = self.scene.carried, None if self.gone else self.stepper.carriage
+        totals = {one.name: carriage.total(one.name) if carriage is not None else 0.0 for one in carried}
+        return {"carried": totals} if carried else {}
 
     @staticmethod
     def _thickness_diagnostics(sums: np.ndarray) -> dict:

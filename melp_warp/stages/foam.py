@@ -23,6 +23,7 @@ from melp_warp.kernels import motion as ko
 from melp_warp.kernels import regions as kr
 from melp_warp.kernels.native import CORNERS
 from melp_warp.stages.air import film_added_mass
+from melp_warp.stages.carriage import Carriage
 from melp_warp.stages.circulation import Circulation
 from melp_warp.stages.drag import AirDrag
 from melp_warp.stages.film import CONTACT_REACH, Film
@@ -94,8 +95,9 @@ class Exchange:
         fields: Fields,
         transfer: Transfer,
         circulation: Circulation | None,
+        carriage: Carriage | None,
     ):
-        self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
+        self.film, self.state, self.geometry, self.fields, self.carriage = film, state, geometry, fields, carriage
         self.transfer, self.circulation = transfer, circulation
         self.contact = make_contact(film)
         self.due, self._time = False, Setting(film.device)
@@ -121,11 +123,21 @@ class Exchange:
         self.fields.update()
         area, claim, across = self.geometry.area, transfer.claim, [lists.eo.rows, self.contact]
         film.launch_e(kx.weigh_across_e, [e.x, e.normal, area, claim, *across], [self._over])
+        more = self.carriage
+        for name in more.of_e if more is not None else ():
+            more.spare()
+            self._cross(more.gather(name), None, [more.u, more.mass, self.state.carried[name], more.eta, None], dt)
+        self._cross(e.surfactant, carried, [lag.u, lag.mass, lag.surfactant, lag.eta, lag.circulation], dt)
+
+    def _cross(self, amount: wp.array, turning: wp.array | None, held: list, dt: wp.array) -> None:
+        """Let L exchange what they have, `held`, with an `amount` [n_e] that E know of it."""
+        film, e, transfer, lists = self.film, self.state.e, self.transfer, self.transfer.lists
+        claim = transfer.claim
         film.launch_e(
             kx.cross_e,
             [
-                *(e.x, e.normal, e.u, e.mass, e.surfactant, area, claim, self.fields.gamma, carried, self._over),
-                *(*across, self._time.array, dt),
+                *(e.x, e.normal, e.u, e.mass, amount, self.geometry.area, claim, self.fields.gamma, turning),
+                *(self._over, lists.eo.rows, self.contact, self._time.array, dt),
             ],
             [self._left, self._gained, self._pushed],
         )
@@ -135,7 +147,7 @@ class Exchange:
                 *(e.normal, e.u, claim, self._left, self._gained, self._pushed),
                 *(transfer.weight, lists.le.rows, film.material.density),
             ],
-            [lag.u, lag.mass, lag.surfactant, lag.eta, lag.circulation],
+            held,
         )
 
 

@@ -9,6 +9,7 @@ import warp as wp
 from melp_warp.device.launch import Shared
 from melp_warp.device.scalars import Setting
 from melp_warp.kernels import mixing as kx
+from melp_warp.stages.carriage import Carriage
 from melp_warp.stages.film import Film
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.state import State
@@ -28,8 +29,8 @@ class Mixing:
         due: whether L mix before the step to come.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists):
-        self.film, self.state, self.lists = film, state, lists
+    def __init__(self, film: Film, state: State, lists: NeighborLists, carriage: Carriage | None):
+        self.film, self.state, self.lists, self.carriage = film, state, lists, carriage
         self.due, self._time = False, Setting(film.device)
         self._where, self._flow = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l, wp.vec3)
         self._held = film.zeros(film.n_l, wp.vec4)
@@ -46,12 +47,21 @@ class Mixing:
 
     def apply(self) -> None:
         """Let L mix; follows the lists."""
+        lag, more = self.state.l, self.carriage
+        for name in more.of_e if more is not None else ():
+            more.spare()
+            amount = self.state.carried[name]
+            self._mix(amount, [more.u, more.mass, amount, more.eta])
+        self._mix(lag.surfactant, [lag.u, lag.mass, lag.surfactant, lag.eta])
+
+    def _mix(self, amount: wp.array, held: list) -> None:
+        """Let L exchange what they have, `held`, with an `amount` [n_l] of it."""
         film, lag, lists = self.film, self.state.l, self.lists
         by_home = [Shared(a) for a in (self._where, self._flow, self._held)]
         film.launch_l(
             kx.give_held_l,
             [
-                *(lag.x, lag.u, lag.affine, lag.normal, lag.mass, lag.surfactant, lag.eta),
+                *(lag.x, lag.u, lag.affine, lag.normal, lag.mass, amount, lag.eta),
                 *(film.material.density, lists.el.place, lag.behind),
             ],
             by_home,
@@ -62,5 +72,5 @@ class Mixing:
                 *(Shared(self.state.e.x), lists.le.home, lists.el.place, Shared(lists.ee.rows), lists.el.blocks),
                 *(*by_home, self._spacing, film.numerics.mixing, self._time.array),
             ],
-            [lag.u, lag.mass, lag.surfactant, lag.eta],
+            held,
         )

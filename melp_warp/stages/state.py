@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from melp_warp.kernels.budget import SLOTS
 from melp_warp.stages.film import count_parts
 
 if TYPE_CHECKING:
+    from melp_warp.carried import Carried
     from melp_warp.stepping.budget import Ledger
 
 GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area", "offset")
@@ -291,8 +292,17 @@ def allocate(kind, sizes: dict[str, int], device, features: Features | None = No
 Declared = tuple[str, "str | int | None", tuple[int, ...], "Callable[[Features], bool] | None"]
 
 
-def declared() -> dict[str, Declared]:
-    """What `State.numpy` may hold by name: "f" or "i" for the type, length as declared, columns, the films with it."""
+def carried_arrays(carried: Sequence[Carried], collects: bool = True) -> list[tuple[str, bool]]:
+    """Names of arrays of what L carry, and whether only films whose rim collects have them."""
+    return [(f"{q.name}{end}", bool(end)) for q in carried for end in (("", "_rim") if collects else ("",))]
+
+
+def declared(carried: Sequence[Carried] = ()) -> dict[str, Declared]:
+    """What `State.numpy` may hold by name: "f" or "i" for the type, length as declared, columns, the films with it.
+
+    Args:
+        carried: what L carry besides.
+    """
     blocks = {
         "e": (EulerianState, None),
         "l": (LagrangianState, lambda f: f.lagrangian),
@@ -312,6 +322,8 @@ def declared() -> dict[str, Declared]:
         "time": ("f", None, (), None),
         "frame": ("i", None, (), None),
     }
+    for name, rim in carried_arrays(carried):
+        found[f"l.{name}"] = "f", "l", (), (lambda f: f.collects) if rim else None
     for block, (kind, when) in blocks.items():
         for f in fields(kind):
             if "dtype" in f.metadata:
@@ -343,6 +355,8 @@ class State:
         border: [7] float64, see `BORDER_SLOTS`: liquid (kg) and surfactant of one interface (mol) that the rim of an
             open film has collected, and what it has taken from the flow along the film of momentum (kg m/s) and,
             where a budget is kept, of energy (J), of motion and of height and surfactant; None without a rim or L.
+        carried: name -> [n_l] how much L hold of what the scene declares, and NAME_rim, what the rim has from each.
+        declared: what that is.
         memory: what stages remember.
         course: what the host remembers.
         seen: how far particles had moved after the last steps, as the host sees it; see `NeighborLists`.
@@ -367,6 +381,9 @@ class State:
     ):
         device = e.x.device
         self.e, self.l, self.b = e, l, b
+        names = [name for name, *_ in carried_arrays(features.carried, features.collects)] if l else []
+        self.carried = {name: wp.zeros(l.count, dtype=wp.float32, device=device) for name in names}
+        self.declared = features.carried
         self.f, self.d = f, d
         if features.bursts and f is None:
             self.f, self.d = allocate(FreeRimState, {"f": 0}, device), allocate(DropState, {"d": 0}, device)
@@ -403,6 +420,7 @@ class State:
         named = {
             f"{block}.{k}": a for block, held in blocks.items() if held is not None for k, a in _arrays(held).items()
         }
+        named |= {f"l.{name}": array for name, array in self.carried.items()}
         named |= {"gas": self.gas, "motion": self.motion}
         return named if self.border is None else named | {"border": self.border}
 

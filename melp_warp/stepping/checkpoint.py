@@ -15,12 +15,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 
 import numpy as np
 
 import melp_warp
+from melp_warp.carried import Carried
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
 from melp_warp.files import load_arrays, save_arrays
@@ -75,7 +77,9 @@ class Checkpoint:
 
 def describe(scene: Scene) -> dict[str, object]:
     """The numbers and choices of a scene by name, as JSON can say them. Fields of points are left out."""
-    said = {key: value for key, value in _flat("", scene) if key not in ("name", "frames", "forces")}
+    said = {key: value for key, value in _flat("", scene) if key not in ("name", "frames", "forces", "carried")}
+    for k, one in enumerate(scene.carried):
+        said |= dict(_flat(f"carried.{k}", one))
     for k, force in enumerate(scene.forces):
         said |= {f"forces.{k}.{key}": value for key, value in force.describe().items()}
     return said
@@ -209,7 +213,7 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
     """
     header = read_header(path)
     compare(path, header["scene"], scene, changed)
-    shapes, arrays = declared(), _load_all(path)
+    shapes, arrays = declared(scene.carried), _load_all(path, scene.carried)
     try:
         course = check_course(header["course"], scene)
         features = Features.of(scene, course.holed)
@@ -232,16 +236,27 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
 
 def check_sum(path: str | os.PathLike) -> None:
     """Refuse a file that is not what was written: `InputError`."""
-    read_header(path)
+    header = read_header(path)
     try:
-        _require_sum(_load_all(path))
+        _require_sum(_load_all(path, _carried_by(header)))
     except InputError as error:
         raise InputError(f"checkpoint {path} cannot be used: {error}") from None
 
 
-def _load_all(path: str | os.PathLike) -> dict[str, np.ndarray]:
+def _carried_by(header: Mapping) -> list[Carried]:
+    """What L carry by the numbers of a scene in a header.
+
+    Raises:
+        InputError: they are none of ours.
+    """
+    numbers = header["scene"] if isinstance(header["scene"], dict) else {}
+    return [Carried(name, "") for key, name in numbers.items() if re.fullmatch(r"carried\.\d+\.name", str(key))]
+
+
+def _load_all(path: str | os.PathLike, carried: Sequence[Carried]) -> dict[str, np.ndarray]:
     """All members that a checkpoint may have."""
-    shapes = {name: (kind, len(columns) + (size is not None)) for name, (kind, size, columns, _) in declared().items()}
+    all_of = declared(carried)
+    shapes = {name: (kind, len(columns) + (size is not None)) for name, (kind, size, columns, _) in all_of.items()}
     return load_arrays(path, {**shapes, HEADER: ("i", 1), CHECKSUM: ("i", 1)})
 
 

@@ -146,6 +146,7 @@ class Events:
                     "mass": mass,
                     "surfactant": amount,
                     "eta": eta,
+                    **{one.name: one.held(s.points, s.area, mass) for one in scene.carried if kind == "l"},
                 }
         sigma = bubble.tension * scene.material.tension - scene.material.rt * scene.material.surfactant
         return particles, 4.0 * sigma / bubble.radius

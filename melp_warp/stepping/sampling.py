@@ -414,6 +414,8 @@ def _set_masses(scene: Scene, stepper: Stepper) -> None:
     lag.eta.assign(eta)
     lag.mass.assign(mass)
     lag.surfactant.assign(amount)
+    for one in scene.carried:
+        state.carried[one.name].assign(one.held(points, mass / (scene.material.density * eta), mass))
     stepper.transfer.gather()
 
 

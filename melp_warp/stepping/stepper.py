@@ -18,6 +18,7 @@ from melp_warp.errors import LeapError, SimulationError
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
 from melp_warp.stages.advance import EulerianAdvance, LagrangianAdvance
+from melp_warp.stages.carriage import Carriage
 from melp_warp.stages.circulation import Circulation
 from melp_warp.stages.film import Film
 from melp_warp.stages.foam import Exchange, FoamMembrane
@@ -81,7 +82,8 @@ class Stepper:
         self.circulation = (
             Circulation(film, state, self.lists, self.geometry, self.transfer, self.rim) if f.circulation else None
         )
-        self.mixing = Mixing(film, state, self.lists) if f.mixes else None
+        self.carriage = Carriage(film, state, self.transfer) if f.carried else None
+        self.mixing = Mixing(film, state, self.lists, self.carriage) if f.mixes else None
         self.membrane = self._make_membrane() if f.moving else None
         self.tangential = (
             Tangential(film, state, self.lists, self.geometry, self.fields, self.forces, self.rim)
@@ -92,7 +94,9 @@ class Stepper:
         self.redistribution = self.e_advance.redistribution if f.moving else None
         self.l_advance = LagrangianAdvance(film, state, self.lists, self.geometry) if f.lagrangian else None
         self.exchange = (
-            Exchange(film, state, self.geometry, self.fields, self.transfer, self.circulation) if f.exchanges else None
+            Exchange(film, state, self.geometry, self.fields, self.transfer, self.circulation, self.carriage)
+            if f.exchanges
+            else None
         )
         self.budget = Budget(film, state, self) if f.budget else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
@@ -274,6 +278,8 @@ class Stepper:
             self.edge.move(self.dt.array)
         if self.rim is not None:
             self.rim.confine()
+            if self.carriage is not None:
+                self.carriage.collect()
         self.lists.record_l(self.at_rest, self.dt.array)
         self._guard_l("advance_l")
 

@@ -13,7 +13,7 @@ import numpy as np
 from melp_warp.stages.state import AMOUNT, GAS_SLOTS, GAUGE, VOLUME, State
 
 AMOUNTS = ("mass", "surfactant", "circulation")
-"""What particles hold that adds up."""
+"""What particles hold that adds up, besides what the scene declares."""
 
 HEIRS = 128
 """Particles that share what one particle of a broken partition leaves."""
@@ -28,12 +28,14 @@ class Stored:
         ids: "e" and "l": [n] int64.
         labels: the scene's number of each region.
         spilled: liquid that left with films that popped, kg.
+        amounts: what particles hold that adds up.
     """
 
     arrays: dict[str, np.ndarray]
     ids: dict[str, np.ndarray]
     labels: list[int] = field(default_factory=list)
     spilled: float = 0.0
+    amounts: tuple[str, ...] = AMOUNTS
 
     @classmethod
     def of(cls, state: State) -> Stored:
@@ -42,7 +44,8 @@ class Stored:
         arrays = {k: a for k, a in stored.items() if not k.startswith(("memory.", "ids."))}
         if "memory.area" in stored:
             arrays["memory.area"] = stored["memory.area"]  # found from the L at the start
-        return cls(arrays, dict(state.ids), list(state.course.labels), state.course.spilled)
+        amounts = (*AMOUNTS, *state.carried)
+        return cls(arrays, dict(state.ids), list(state.course.labels), state.course.spilled, amounts)
 
     @property
     def kinds(self) -> str:
@@ -108,7 +111,7 @@ def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.nd
         gone = both & partition[kind]
         carriers = "l" if "l" in stored.kinds else "e"
         if kind == carriers:
-            _hand_over(stored.arrays, kind, gone, both & ~gone)
+            _hand_over(stored, kind, gone, both & ~gone)
         stored.select(kind, ~gone)
     gas = stored.arrays["gas"]
     volume = gas[[k, other], VOLUME]
@@ -118,9 +121,9 @@ def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.nd
     stored.select("e", np.argsort(stored.region("e"), kind="stable"))
 
 
-def _hand_over(arrays: dict[str, np.ndarray], kind: str, gone: np.ndarray, kept: np.ndarray) -> None:
-    """Give mass, surfactant and momentum of the particles that go to those nearest that stay, `HEIRS` to each."""
-    sources, targets = np.flatnonzero(gone), np.flatnonzero(kept)
+def _hand_over(stored: Stored, kind: str, gone: np.ndarray, kept: np.ndarray) -> None:
+    """Give momentum and what adds up of the particles that go to those nearest that stay, `HEIRS` to each."""
+    arrays, sources, targets = stored.arrays, np.flatnonzero(gone), np.flatnonzero(kept)
     if not len(sources) or not len(targets):
         return
     x, mass, u = arrays[f"{kind}.x"], arrays[f"{kind}.mass"], arrays[f"{kind}.u"]
@@ -135,7 +138,7 @@ def _hand_over(arrays: dict[str, np.ndarray], kind: str, gone: np.ndarray, kept:
     )
     momentum = mass[:, None] * u
     np.add.at(momentum, nearest, momentum[sources, None] / heirs)
-    for name in AMOUNTS:
+    for name in stored.amounts:
         amount = arrays.get(f"{kind}.{name}")
         if amount is None:
             continue

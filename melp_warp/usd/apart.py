@@ -37,7 +37,8 @@ MEMORY = 8 << 30
 
 _KINDS = {"Particles": ParticleFrame, "Mesh": MeshFrame, "Whole": WholeFrame}
 _ARRAYS = {
-    kind: [field.name for field in dataclasses.fields(of) if field.name != "origin"] for kind, of in _KINDS.items()
+    kind: [field.name for field in dataclasses.fields(of) if field.name not in ("origin", "carried")]
+    for kind, of in _KINDS.items()
 }
 
 

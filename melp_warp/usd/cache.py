@@ -159,11 +159,39 @@ def is_mesh(prim: str) -> bool:
     return prim.startswith(f"{SURFACE}/")
 
 
-def attributes_of(prim: str, packed: Collection[str] = ()) -> tuple[Attribute, ...]:
-    """The attributes of a prim of a cache, of which some sets are packed."""
+class Layout(NamedTuple):
+    """What the particle sets of a cache have besides, or in another form.
+
+    Attributes:
+        packed: the sets that are packed, see packing.py.
+        carried: primvars of what a scene declares, in the sets of E and L.
+    """
+
+    packed: frozenset[str] = frozenset()
+    carried: tuple[str, ...] = ()
+
+
+PLAIN = Layout()
+
+
+def attributes_of(prim: str, layout: Layout = PLAIN) -> tuple[Attribute, ...]:
+    """The attributes of a prim of a cache, the extent last."""
     if prim == WHOLE:
         return WHOLE_ATTRIBUTES
-    return MESH_ATTRIBUTES if is_mesh(prim) else PACKED_ATTRIBUTES if prim in packed else ATTRIBUTES
+    if is_mesh(prim):
+        return MESH_ATTRIBUTES
+    own = PACKED_ATTRIBUTES if prim in layout.packed else ATTRIBUTES
+    if prim in (FREE_RIMS, DROPS) or not layout.carried:
+        return own
+    more = (_SHARED["primvars:thickness"]._replace(name=f"primvars:{n}", field=f"carried.{n}") for n in layout.carried)
+    return (*own[:-1], *more, own[-1])
+
+
+def array_of(frame: Frame, attribute: Attribute) -> np.ndarray:
+    """What a frame has for an attribute."""
+    if attribute.field.startswith("carried."):
+        return frame.carried.get(attribute.field.removeprefix("carried."))
+    return getattr(frame, attribute.field)
 
 
 def with_rows(attributes: Sequence[Attribute]) -> list[Attribute]:
@@ -171,9 +199,14 @@ def with_rows(attributes: Sequence[Attribute]) -> list[Attribute]:
     return [one for a in attributes for one in ((a, a.rows) if a.indexed else (a,))]
 
 
-def packed_of(layer, prims: Sequence[str]) -> set[str]:
-    """The sets that are packed in a layer."""
-    return {prim for prim in prims if layer.GetAttributeAtPath(f"/World/{prim}.{PACKED_NORMALS.name}")}
+def layout_of(layer, prims: Sequence[str]) -> Layout:
+    """What the particle sets of a layer have."""
+    packed = {prim for prim in prims if layer.GetAttributeAtPath(f"/World/{prim}.{PACKED_NORMALS.name}")}
+    known = {attribute.name for attribute in with_rows((*ATTRIBUTES, *PACKED_ATTRIBUTES))}
+    sets = [layer.GetPrimAtPath(f"/World/{p}") for p in prims if not is_mesh(p) and p not in (FREE_RIMS, DROPS)]
+    names = [spec.name for spec in sets[0].attributes] if sets and sets[0] else []
+    more = [name for name in names if name.startswith("primvars:") and name not in known]
+    return Layout(frozenset(packed), tuple(name.removeprefix("primvars:") for name in more))
 
 
 def frame_kind(prim: str) -> type[ParticleFrame] | type[MeshFrame] | type[WholeFrame]:
@@ -219,13 +252,20 @@ def list_frames(directory: str | os.PathLike) -> list[int]:
 Frame = ParticleFrame | MeshFrame | WholeFrame
 
 
+def _check_carried(layout: Layout) -> None:
+    """Refuse names that are no primvars, or those of others."""
+    taken = {a.name for a in with_rows((*ATTRIBUTES, *PACKED_ATTRIBUTES))}
+    right = all(name.isidentifier() and f"primvars:{name}" not in taken for name in layout.carried)
+    require(right, "carried", list(layout.carried), "names of primvars of their own")
+
+
 def _check_arrays(label: str, frame: Frame, attributes: Sequence[Attribute]) -> None:
     """Refuse what USD would take silently: wrong shapes and types, NaN, negative thickness, no such corner."""
     count, meshed = len(frame.points), not isinstance(frame, ParticleFrame)
     many = len(frame.faces) if meshed and isinstance(frame.faces, np.ndarray) else 0
     stored = [attribute for attribute in attributes if attribute.field]
     for attribute in stored:
-        array = getattr(frame, attribute.field)
+        array = array_of(frame, attribute)
         faces = attribute.field == "faces"
         rows = many if faces else entries_of(attribute, count, many)
         shape = (rows, 3) if faces or attribute.columns == 3 else (rows,)
@@ -233,7 +273,7 @@ def _check_arrays(label: str, frame: Frame, attributes: Sequence[Attribute]) -> 
         got = (array.shape, str(array.dtype)) if isinstance(array, np.ndarray) else type(array).__name__
         require(got == (shape, dtype), f"{label}.{attribute.field}", got, f"an array {list(shape)} of {dtype}")
     for attribute in stored:
-        array = getattr(frame, attribute.field)
+        array = array_of(frame, attribute)
         finite = np.isfinite(array.reshape(len(array), -1 if len(array) else 1)).all(axis=1)
         if not finite.all():
             at = _name_of(frame, int(np.argmin(finite)))
@@ -383,7 +423,7 @@ Origin = tuple[float, float, float]
 
 
 def _declare(
-    layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0), packed: Collection[str] = (), fixed: bool = True
+    layer, prims: Sequence[str], origin: Origin = (0.0, 0.0, 0.0), layout: Layout = PLAIN, fixed: bool = True
 ) -> None:
     """Add /World and the prims with every attribute, without values; moved to `origin` where it is elsewhere.
 
@@ -399,7 +439,7 @@ def _declare(
             Sdf.PrimSpec(world, SURFACE, Sdf.SpecifierDef, "Xform")
         parent = layer.GetPrimAtPath(f"/World/{SURFACE}") if mesh else world
         spec = Sdf.PrimSpec(parent, prim.rsplit("/", 1)[-1], Sdf.SpecifierDef, "Mesh" if mesh else "Points")
-        for attribute in with_rows(attributes_of(prim, packed)):
+        for attribute in with_rows(attributes_of(prim, layout)):
             found = Sdf.AttributeSpec(spec, attribute.name, Sdf.ValueTypeNames.Find(attribute.type_name))
             if attribute.interpolation:
                 found.SetInfo("interpolation", attribute.interpolation)
@@ -432,14 +472,14 @@ def origin_of(layer, prim: str) -> Origin:
     return tuple(place)
 
 
-def _frame_layer(frame_index: int, fps: float, frames: Mapping, packed: Collection[str], gain: float, index: float):
+def _frame_layer(frame_index: int, fps: float, frames: Mapping, layout: Layout, gain: float, index: float):
     """The layer of one frame: every attribute with one sample at its own time code."""
     layer = _new_layer(".usdc", fps)
     layer.startTimeCode = layer.endTimeCode = frame_index
     layer.customLayerData = {METADATA_KEY: {"schemaVersion": SCHEMA_VERSION, "thicknessUnit": THICKNESS_UNIT}}
-    _declare(layer, list(frames), next(iter(frames.values())).origin, packed)
+    _declare(layer, list(frames), next(iter(frames.values())).origin, layout)
     for prim, frame in frames.items():
-        _set_values(layer, frame_index, prim, frame, packed, gain, index)
+        _set_values(layer, frame_index, prim, frame, layout, gain, index)
     return layer
 
 
@@ -448,7 +488,7 @@ def _set_values(
     frame_index: int,
     prim: str,
     frame: Frame,
-    packed: Collection[str],
+    layout: Layout,
     gain: float,
     index: float,
 ) -> None:
@@ -456,8 +496,8 @@ def _set_values(
     from pxr import UsdGeom, Vt
 
     values = {}
-    attributes = with_rows(attributes_of(prim, packed)[:-1])
-    pack = _packed_arrays(frame, gain, index) if prim in packed else {}
+    attributes = with_rows(attributes_of(prim, layout)[:-1])
+    pack = _packed_arrays(frame, gain, index) if prim in layout.packed else {}
     for attribute in attributes:
         if attribute.name in pack:
             array = pack[attribute.name]
@@ -466,7 +506,7 @@ def _set_values(
         elif attribute.name == "faceVertexCounts":
             array = np.full(len(frame.faces), 3, np.int32)
         else:
-            array = getattr(frame, attribute.field)
+            array = array_of(frame, attribute)
         flat = array.reshape(-1) if attribute.columns == 1 else array
         values[attribute.name] = getattr(Vt, attribute.array).FromNumpy(np.ascontiguousarray(flat))
     if is_mesh(prim):
@@ -512,7 +552,7 @@ def _add_preview_material(stage, prims: Sequence[str]) -> None:
 def _root_layer(
     fps: float,
     prims: Sequence[str],
-    packed: Collection[str],
+    layout: Layout,
     metadata: dict,
     origin: Origin,
     rims: Sequence[np.ndarray],
@@ -523,7 +563,7 @@ def _root_layer(
     layer = _new_layer(".usda", fps)
     layer.documentation = "Soap film cache. SI units, except primvars:thickness, which is in nanometres."
     layer.customLayerData = {METADATA_KEY: metadata}
-    _declare(layer, prims, origin, packed)
+    _declare(layer, prims, origin, layout)
     if rims:
         _add_rims(layer, rims, origin)
     stage = Usd.Stage.Open(layer)
@@ -587,10 +627,10 @@ def rims_of(root) -> list[np.ndarray]:
     return np.split(points, np.cumsum(counts)[:-1])
 
 
-def _manifest_layer(fps: float, prims: Sequence[str], packed: Collection[str]):
+def _manifest_layer(fps: float, prims: Sequence[str], layout: Layout):
     """What the frames hold."""
     layer = _new_layer(".usda", fps)
-    _declare(layer, prims, packed=packed, fixed=False)
+    _declare(layer, prims, layout=layout, fixed=False)
     return layer
 
 
@@ -635,6 +675,7 @@ class CacheWriter:
         rims: points [k, 3] along each wire that holds the film, from `origin`, m.
         packed: sets of particles whose widths, normals and colours are stored with less precision, in half the bytes
             (packing.py); all else is stored to the bit.
+        carried: names and units of what the sets of E and L have in `ParticleFrame.carried`.
         there: first and last frame of a cache in the folder that goes on; None for a new one. The last may be one
             before the first, for none.
 
@@ -656,6 +697,7 @@ class CacheWriter:
         origin: Origin = (0.0, 0.0, 0.0),
         rims: Sequence[np.ndarray] = (),
         packed: Collection[str] = (),
+        carried: Mapping[str, str] | None = None,
         there: tuple[int, int] | None = None,
     ):
         require(np.isscalar(fps) and np.isfinite(fps) and fps > 0.0, "fps", fps, "a number above 0")
@@ -673,22 +715,24 @@ class CacheWriter:
             "refractiveIndex": float(index),
             "colorGain": float(gain),
             "versions": _versions(),
+            **({"carried": dict(carried)} if carried else {}),
         }
         taken = sorted(own.keys() & metadata.keys())
         require(not taken, "metadata", taken, "without the keys that the writer sets")
         require(len(origin) == 3 and bool(np.all(np.isfinite(origin))), "origin", origin, "three finite numbers")
         self.directory = Path(directory)
         self._fps, self._prims, self._gain, self._index = float(fps), tuple(prims), float(gain), float(index)
-        self._packed = frozenset(packed)
+        self._layout = Layout(frozenset(packed), tuple(carried or ()))
+        _check_carried(self._layout)
         self._first: int | None = None
         self._last: int | None = None
         self._origin = tuple(float(x) for x in origin)
         own_metadata = _checked_metadata(metadata) | own
-        self._root = _root_layer(self._fps, self._prims, self._packed, own_metadata, self._origin, rims)
+        self._root = _root_layer(self._fps, self._prims, self._layout, own_metadata, self._origin, rims)
         if there is None:
             _claim(self.directory)
         self.sums = {
-            MANIFEST: _export(_manifest_layer(self._fps, self._prims, self._packed), self.directory / MANIFEST)
+            MANIFEST: _export(_manifest_layer(self._fps, self._prims, self._layout), self.directory / MANIFEST)
         }
         if there is not None and there[0] <= there[1]:
             self._first, self._last = there
@@ -717,13 +761,17 @@ class CacheWriter:
         require(follows, "frame_index", frame_index, f"{self._last} + 1, the frame after the one before")
         require(set(frames) == set(self._prims), "frames", sorted(frames), f"one for each of {list(self._prims)}")
         for prim in self._prims:
-            _check_arrays(f"frame {frame_index} {prim}", frames[prim], attributes_of(prim))
+            _check_arrays(
+                f"frame {frame_index} {prim}",
+                frames[prim],
+                attributes_of(prim, PLAIN._replace(carried=self._layout.carried)),
+            )
             found = frames[prim].origin
             require(
                 found == self._origin, f"frame {frame_index} {prim}.origin", found, f"that of the cache, {self._origin}"
             )
         ordered = {prim: frames[prim] for prim in self._prims}
-        layer = _frame_layer(frame_index, self._fps, ordered, self._packed, self._gain, self._index)
+        layer = _frame_layer(frame_index, self._fps, ordered, self._layout, self._gain, self._index)
         path = frame_path(self.directory, frame_index)
         digests = {f"{FRAMES}/{path.name}": _export(layer, path)}
         first = frame_index if self._first is None else self._first
@@ -770,24 +818,24 @@ def read_prim(directory: str | os.PathLike, frame: int, prim: str) -> tuple[Fram
     """Either of them by the prim's name from /World, as it is stored; and whether it is packed."""
     path = frame_path(directory, frame)
     layer = open_layer(path)
-    packed = packed_of(layer, [prim])
-    arrays = {}
-    for attribute in attributes_of(prim, packed):
+    layout, arrays, more = layout_of(layer, [prim]), {}, {}
+    for attribute in attributes_of(prim, layout):
         if attribute.field is None:
             continue
         array = read_values(layer, prim, attribute, frame)
         if isinstance(array, str):
             raise InputError(f"{path}: /World/{prim}.{attribute.name} {array}")
-        arrays[attribute.field] = array
+        (more if attribute.field.startswith("carried.") else arrays)[attribute.field.removeprefix("carried.")] = array
     try:
         if is_mesh(prim):
             require(len(arrays["faces"]) % 3 == 0, f"{prim}.faces", len(arrays["faces"]), "three corners a face")
             arrays["faces"] = arrays["faces"].reshape(-1, 3)
+        arrays |= {"carried": more} if more else {}
         read = frame_kind(prim)(**arrays, origin=origin_of(layer, prim))
-        _check_arrays(prim, read, attributes_of(prim, packed))
+        _check_arrays(prim, read, attributes_of(prim, layout))
     except (InputError, SimulationError) as error:
         raise InputError(f"{path}: {error}") from None
-    return read, bool(packed)
+    return read, bool(layout.packed)
 
 
 def read_values(layer, prim: str, attribute: Attribute, frame: int) -> np.ndarray | str:
@@ -960,9 +1008,9 @@ def add_meshes(
         for prim in meshes:
             mesh = made.get(prim) or frame_kind(prim).empty(origin)
             _check_arrays(f"frame {frame} {prim}", mesh, attributes_of(prim))
-            _set_values(layer, frame, prim, mesh, (), gain, index)
+            _set_values(layer, frame, prim, mesh, PLAIN, gain, index)
         sums[f"{FRAMES}/{path.name}"] = _export(layer, path)
-    manifest = _manifest_layer(fps, [*points, *meshes], packed_of(root, points))
+    manifest = _manifest_layer(fps, [*points, *meshes], layout_of(root, points))
     sums[MANIFEST] = _export(manifest, directory / MANIFEST)
     _drop_meshes(root)
     _declare(root, meshes, origin)

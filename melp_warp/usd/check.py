@@ -29,14 +29,15 @@ from melp_warp.usd.cache import (
     THICKNESS_UNIT,
     WHOLE,
     Attribute,
+    Layout,
     attributes_of,
     entries_of,
     frame_path,
     is_mesh,
+    layout_of,
     list_frames,
     open_layer,
     origin_of,
-    packed_of,
     prims_of,
     read_sample,
     refers_to,
@@ -85,7 +86,7 @@ def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda
     try:
         root = open_layer(directory / ROOT)
         prims = prims_of(root)
-        packed = packed_of(root, prims)
+        layout = layout_of(root, prims)
     except InputError as error:
         return [*problems, f"{ROOT}: {error}"]
     except Exception as error:  # a name that Python cannot hold
@@ -100,7 +101,7 @@ def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda
         rims = 0
     elsewhere = _guarded(ROOT, _check_elsewhere, ROOT, root)
     at(MANIFEST)
-    of_manifest, readable = _check_manifest(directory, prims, packed)
+    of_manifest, readable = _check_manifest(directory, prims, layout)
     missing, fit = _check_range(root, on_disk)
     problems += of_root + elsewhere + of_manifest + missing
     whole = fit and readable and _clips_are_ours(root, prims) and not elsewhere
@@ -114,7 +115,7 @@ def check_cache(directory: str | os.PathLike, at: Callable[[str], None] = lambda
             continue
         found = _guarded(_frame_name(frame), _check_elsewhere, _frame_name(frame), layer)
         whole = whole and not found
-        problems += found + _guarded(_frame_name(frame), _check_frame, layer, frame, root, prims, packed, rims)
+        problems += found + _guarded(_frame_name(frame), _check_frame, layer, frame, root, prims, layout, rims)
     if on_disk and whole:
         at(ROOT)
         problems += _guarded(ROOT, _check_stages, directory, on_disk[0], root, prims)
@@ -254,11 +255,11 @@ def _check_declaration(name: str, layer, prim: str, attribute: Attribute) -> lis
     return problems
 
 
-def _check_declarations(name: str, layer, prims: list[str], packed: set[str]) -> list[str]:
+def _check_declarations(name: str, layer, prims: list[str], layout: Layout) -> list[str]:
     """Declarations only: in the root and the manifest no attribute of a frame has a value."""
     problems = []
     for prim in prims:
-        for attribute in with_rows(attributes_of(prim, packed)):
+        for attribute in with_rows(attributes_of(prim, layout)):
             problems += _check_declaration(name, layer, prim, attribute)
             if layer.GetNumTimeSamplesForPath(f"/World/{prim}.{attribute.name}"):
                 problems.append(f"{name}: /World/{prim}.{attribute.name}: has time samples, which hide the frames")
@@ -276,6 +277,10 @@ def _check_root(root, prims: list[str]) -> list[str]:
     for key in ("refractiveIndex", "colorGain", "scene", "seed", "versions"):
         if key not in data:
             problems.append(f"{ROOT}: {METADATA_KEY}.{key}: missing from customLayerData")
+    units, carried = data.get("carried", {}), layout_of(root, prims).carried
+    told = isinstance(units, dict) and all(isinstance(units.get(name), str) for name in carried)
+    if not told or len(units) != len(carried):
+        problems.append(f"{ROOT}: {METADATA_KEY}.carried: must name the unit of each of {', '.join(carried) or 'none'}")
     if "Film" not in prims:
         problems.append(f"{ROOT}: /World/Film: no such point prim")
     world = root.GetPrimAtPath("/World")
@@ -284,7 +289,7 @@ def _check_root(root, prims: list[str]) -> list[str]:
     problems += _expect(f"{ROOT}: /World: kind", world.kind, "component")
     if world.GetInfo("clips"):
         problems.append(f"{ROOT}: /World: has value clips, which belong on the prims")
-    problems += _check_declarations(ROOT, root, prims, packed_of(root, prims))
+    problems += _check_declarations(ROOT, root, prims, layout_of(root, prims))
     for prim in prims:
         problems += _check_clips(root, prim) + _check_fixed(ROOT, root, prim)
         binding = root.GetRelationshipAtPath(f"/World/{prim}.material:binding")
@@ -347,14 +352,14 @@ def _check_clips(root, prim: str) -> list[str]:
     return problems
 
 
-def _check_manifest(directory: Path, prims: list[str], packed: set[str]) -> tuple[list[str], bool]:
+def _check_manifest(directory: Path, prims: list[str], layout: Layout) -> tuple[list[str], bool]:
     """The problems of the manifest, and whether a stage may read it."""
     try:
         manifest = open_layer(directory / MANIFEST)
     except InputError as error:
         return [f"{MANIFEST}: {error}"], False
     elsewhere = _guarded(MANIFEST, _check_elsewhere, MANIFEST, manifest)
-    return elsewhere + _guarded(MANIFEST, _check_declarations, MANIFEST, manifest, prims, packed), not elsewhere
+    return elsewhere + _guarded(MANIFEST, _check_declarations, MANIFEST, manifest, prims, layout), not elsewhere
 
 
 def _check_range(root, on_disk: list[int]) -> tuple[list[str], bool]:
@@ -379,7 +384,7 @@ def _check_range(root, on_disk: list[int]) -> tuple[list[str], bool]:
 # --- one frame -----------------------------------------------------------------------------------------------------
 
 
-def _check_frame(layer, frame: int, root, prims: list[str], packed: set[str], rims: int | None) -> list[str]:
+def _check_frame(layer, frame: int, root, prims: list[str], layout: Layout, rims: int | None) -> list[str]:
     name = _frame_name(frame)
     problems = _check_units(name, layer, root.framesPerSecond)
     problems += _expect(f"{name}: startTimeCode", layer.startTimeCode, float(frame))
@@ -393,7 +398,7 @@ def _check_frame(layer, frame: int, root, prims: list[str], packed: set[str], ri
         problems += _expect(f"{name}: /World/{prim}: origin", origin_of(layer, prim), origin_of(root, prim))
         arrays = {}
         problems += _check_fixed(name, layer, prim)
-        attributes = attributes_of(prim, packed)
+        attributes = attributes_of(prim, layout)
         for attribute in with_rows(attributes):
             found = _check_declaration(name, layer, prim, attribute)
             if not found:
@@ -715,7 +720,7 @@ def _check_through_clips(stage, root, prims: list[str]) -> list[str]:
     problems = []
     for prim in prims:
         uneven, elsewhere = [], []
-        for name in (attribute.name for attribute in with_rows(attributes_of(prim, packed_of(root, [prim])))):
+        for name in (attribute.name for attribute in with_rows(attributes_of(prim, layout_of(root, [prim])))):
             found = stage.GetAttributeAtPath(f"/World/{prim}.{name}")
             if not found or found.GetTimeSamples() != wanted:
                 uneven.append(name)

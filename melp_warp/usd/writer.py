@@ -43,7 +43,15 @@ class UsdWriter:
         packed = [prim for prim, which in self._sets.items() if which == "l" and not plan.full]
         rims = rims_of(plan, origin)
         self._cache = CacheWriter(
-            folder, plan.scene.fps, metadata, prims, origin=origin, rims=rims, packed=packed, there=there
+            folder,
+            plan.scene.fps,
+            metadata,
+            prims,
+            origin=origin,
+            rims=rims,
+            packed=packed,
+            carried={one.name: one.unit for one in plan.scene.carried},
+            there=there,
         )
 
     def write(self, moment: Moment) -> Mapping[str, str]:
