@@ -19,11 +19,13 @@ if TYPE_CHECKING:
     from melp_warp.material import Material, Surroundings
     from melp_warp.numerics import Numerics
     from melp_warp.parameters import Key, declare
+    from melp_warp.particle_set import ParticleSet
     from melp_warp.registry import load_scene, scene_names
     from melp_warp.scene import Scene
     from melp_warp.scene_force import Force
     from melp_warp.shapes import Disc, Ellipsoid, Rectangle, Sphere, StarShaped
     from melp_warp.simulation import Simulation
+    from melp_warp.stage import Stage
     from melp_warp.usd.cache import CacheWriter, list_frames, read_frame
 
 _HOMES = {
@@ -34,11 +36,13 @@ _HOMES = {
     "material": ("Material", "Surroundings"),
     "numerics": ("Numerics",),
     "parameters": ("Key", "declare"),
+    "particle_set": ("ParticleSet",),
     "registry": ("load_scene", "scene_names"),
     "scene": ("Scene",),
     "scene_force": ("Force",),
     "shapes": ("Disc", "Ellipsoid", "Rectangle", "Sphere", "StarShaped"),
     "simulation": ("Simulation",),
+    "stage": ("Stage",),
     "usd": ("CacheWriter", "list_frames", "read_frame"),
 }
 
@@ -55,11 +59,13 @@ __all__ = [
     "Keyframes",
     "Material",
     "Numerics",
+    "ParticleSet",
     "Rectangle",
     "Scene",
     "Simulation",
     "SimulationError",
     "Sphere",
+    "Stage",
     "StarShaped",
     "Surroundings",
     "declare",

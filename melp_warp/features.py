@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 from melp_warp.carried import Carried
 from melp_warp.cluster import Cluster
+from melp_warp.particle_set import ParticleSet
 from melp_warp.scene import Scene
+from melp_warp.stage import Stage
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Features:
         bursts: the film may get holes.
         holed: it has got them: what it enclosed, and the air around it, count no more.
         carried: what L carry besides liquid and surfactant.
+        stages, sets: parts of the step and particles of the scene's own.
     """
 
     closed: bool
@@ -57,6 +60,8 @@ class Features:
     bursts: bool
     holed: bool
     carried: tuple[Carried, ...]
+    stages: tuple[type[Stage], ...]
+    sets: tuple[ParticleSet, ...]
 
     @classmethod
     def of(cls, scene: Scene, holed: bool = False) -> Features:
@@ -89,6 +94,8 @@ class Features:
             bursts=scene.bursting.possible,
             holed=holed,
             carried=scene.carried,
+            stages=scene.stages,
+            sets=scene.sets,
         )
 
     @property

@@ -49,6 +49,21 @@ class ParticleFrame:
         return cls(vectors, vectors, ids, numbers, vectors, numbers, integers, integers, origin, more)
 
 
+def beads(x, u, width, normal, origin: np.ndarray, ids: np.ndarray | None = None) -> ParticleFrame:
+    """Particles that are no film: their `thickness` is the diameter `width` (m)."""
+    return ParticleFrame(
+        points=x.astype(np.float32),
+        velocities=u.astype(np.float32),
+        ids=(np.arange(len(x)) if ids is None else ids).astype(np.int64),
+        widths=width.astype(np.float32),
+        normals=normal.astype(np.float32),
+        thickness=(1e9 * width).astype(np.float32),
+        region=np.zeros(len(x), dtype=np.int32),
+        black_film=np.zeros(len(x), dtype=np.int32),
+        origin=tuple(origin.tolist()),
+    )
+
+
 @dataclass
 class MeshFrame:
     """The surface of one region at one instant, as triangles. SI units, except thickness (nanometres).

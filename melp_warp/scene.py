@@ -16,8 +16,10 @@ from melp_warp.errors import require
 from melp_warp.keys import Key, at_least_zero, check_numbers, count, positive, quantity
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
+from melp_warp.particle_set import ParticleSet, check_sets
 from melp_warp.scene_force import Force
 from melp_warp.shapes import Shape
+from melp_warp.stage import Stage, check_stages
 
 MOST_STEPS = 100_000
 """Steps that a frame may take."""
@@ -53,6 +55,8 @@ class Scene:
         forces: from outside, besides gravity: `Force`s, or Warp functions of place, time, velocity and thickness alone
             (docs/add-a-force.md).
         carried: what L carry besides liquid and surfactant (docs/carried.md).
+        stages: parts of the step of the scene's own, and
+        sets: particles of its own, which these move (docs/stages.md).
         gas: (time in s, amount over that at the start) of a closed single film, times rising; in between linear. It is
             blown up or let out. Empty for the amount that it starts with.
         opening: area of a hole that is held open and through which gas leaves, m^2.
@@ -76,6 +80,8 @@ class Scene:
     bursting: Bursting = field(default_factory=Bursting)
     forces: Sequence[Force] = ()
     carried: Sequence[Carried] = ()
+    stages: Sequence[type[Stage]] = ()
+    sets: Sequence[ParticleSet] = ()
     frames: int = quantity(count("frames after the first", 0, MOST_FRAMES), 100)
     fps: float = quantity(positive("1/s", "frames per simulated second", 1e6), 60.0)
     dt: float | None = quantity(
@@ -108,6 +114,10 @@ class Scene:
         if self.numerics.layers == 1:
             object.__setattr__(self, "l_per_e", 0)
         self._check_carried()
+        object.__setattr__(self, "stages", tuple(self.stages))
+        object.__setattr__(self, "sets", tuple(self.sets))
+        check_stages(self.stages)
+        check_sets(self.sets)
         if self.bursting.possible:
             self._check_bursting()
         self._check_gas()

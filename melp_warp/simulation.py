@@ -17,7 +17,7 @@ from melp_warp.device.interrupt import let_through
 from melp_warp.device.launch import compile_kernels, launch
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
 from melp_warp.features import Features
-from melp_warp.frame import BLACK_FILM, ParticleFrame
+from melp_warp.frame import BLACK_FILM, ParticleFrame, beads
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
@@ -31,7 +31,6 @@ from melp_warp.stepping.burst import Burst
 from melp_warp.stepping.events import Events
 from melp_warp.stepping.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, set_up_holed, unresolved
 from melp_warp.stepping.single_layer import make_stepper
-from melp_warp.stepping.stepper import STAGES
 from melp_warp.stepping.topology import Stored
 
 LEAP = 0.3
@@ -306,8 +305,7 @@ class Simulation:
         self.notices.begin()
         self._change_regions()
         self._substeps = 0
-        for stage in STAGES:
-            self.stepper.wall[stage] = 0.0
+        self.stepper.wall = dict.fromkeys(self.stepper.wall, 0.0)
         if not self.gone:
             self.stepper.lists.forget_leaps()
         least = 1e-9 * (end - self.scene.film_time(self.state.frame))
@@ -362,7 +360,7 @@ class Simulation:
             return
         away = state.e.x[:1].numpy()[0].astype(np.float64)
         if np.abs(away).max() > 2.0 * FAR * film.radius:
-            for x in (state.e.x, *([state.l.x] if state.l else [])):
+            for x in (state.e.x, *([state.l.x] if state.l else []), *(held["x"] for held in state.sets.values())):
                 launch(ka.shift_origin_e, x.shape[0], [wp.vec3(*away)], [x], self.device)
             state.origin = state.origin + away
 
@@ -453,9 +451,11 @@ class Simulation:
         return math.sqrt(2.0 * tension / m.areal_mass) + float(np.sqrt((v**2).sum(axis=1)).max()) + 1e-9
 
     def particles(self, which: str) -> ParticleFrame:
-        """The L ("l"), E ("e"), free rims ("rims") or drops ("drops") as NumPy arrays."""
+        """The L ("l"), E ("e"), free rims ("rims"), drops ("drops") or the scene's own by name, as NumPy arrays."""
         if which in ("rims", "drops"):
             return self.burst.particles(which)
+        if which in self.state.sets:
+            return self._set(which)
         if self.gone:
             return ParticleFrame.empty(tuple(self.origin.tolist()), [one.name for one in self.scene.carried])
         n = self.film.n_l if which == "l" else self.film.n_e
@@ -489,6 +489,15 @@ class Simulation:
             black_film=(thickness <= BLACK_FILM).astype(np.int32),
             origin=tuple(self.origin.tolist()),
             carried={name: held.astype(np.float32)[order] for name, held in self._carried(which, area).items()},
+        )
+
+    def _set(self, name: str) -> ParticleFrame:
+        """A set of the scene's own; as of drops, `thickness` is the diameter."""
+        held = {key: array.numpy() for key, array in self.state.sets[name].items()}
+        width = next(one.width for one in self.scene.sets if one.name == name)
+        count, x = len(held["x"]), held["x"] + (self.state.origin - self.origin)
+        return beads(
+            x, held.get("u", 0.0 * x), np.full(count, width), np.tile([0.0, 1.0, 0.0], (count, 1)), self.origin
         )
 
     def _carried(self, which: str, area: np.ndarray) -> dict[str, np.ndarray]:
@@ -542,6 +551,7 @@ class Simulation:
             "mass": sums[0],
             "surfactant": sums[1],
             **self._totals(),
+            **{stage.name: told for stage in stepper.extras if (told := stage.report())},
             "momentum": sums[2:5].tolist(),
             "kinetic_energy": sums[5],
             "surface_energy": self._surface_energy(),

@@ -18,6 +18,8 @@ from melp_warp.stages.film import count_parts
 
 if TYPE_CHECKING:
     from melp_warp.carried import Carried
+    from melp_warp.particle_set import ParticleSet
+    from melp_warp.scene import Scene
     from melp_warp.stepping.budget import Ledger
 
 GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area", "offset")
@@ -297,11 +299,24 @@ def carried_arrays(carried: Sequence[Carried], collects: bool = True) -> list[tu
     return [(f"{q.name}{end}", bool(end)) for q in carried for end in (("", "_rim") if collects else ("",))]
 
 
-def declared(carried: Sequence[Carried] = ()) -> dict[str, Declared]:
+def _start(one: ParticleSet, device, origin: np.ndarray | None) -> dict[str, wp.array]:
+    """The arrays of a scene's own particles as they start."""
+    held = {"x": one.x - (0.0 if origin is None else origin), **one.arrays}
+    kinds = {1: wp.float32, 2: wp.vec3}
+    return {name: wp.array(array, dtype=kinds[array.ndim], device=device) for name, array in held.items()}
+
+
+def _kind_of(dtype) -> tuple[str, tuple[int, ...]]:
+    """Kind of number, "f" or "i", and columns of a Warp type."""
+    scalar = np.dtype(wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype))).kind
+    return scalar, getattr(dtype, "_shape_", ())
+
+
+def declared(scene: Scene | Features | None = None) -> dict[str, Declared]:
     """What `State.numpy` may hold by name: "f" or "i" for the type, length as declared, columns, the films with it.
 
     Args:
-        carried: what L carry besides.
+        scene: the scene, where it brings along arrays of its own.
     """
     blocks = {
         "e": (EulerianState, None),
@@ -322,14 +337,20 @@ def declared(carried: Sequence[Carried] = ()) -> dict[str, Declared]:
         "time": ("f", None, (), None),
         "frame": ("i", None, (), None),
     }
-    for name, rim in carried_arrays(carried):
+    for name, rim in carried_arrays(scene.carried) if scene is not None else ():
         found[f"l.{name}"] = "f", "l", (), (lambda f: f.collects) if rim else None
+    for one in scene.sets if scene is not None else ():
+        for name, array in {"x": one.x, **one.arrays}.items():
+            found[f"{one.name}.{name}"] = "f", one.count, array.shape[1:], None
+    for stage in scene.stages if scene is not None else ():
+        for key, (dtype, size) in stage.remembers.items():
+            kind, columns = _kind_of(dtype)
+            found[f"memory.{stage.name}.{key}"] = kind, size, columns, None
     for block, (kind, when) in blocks.items():
         for f in fields(kind):
             if "dtype" in f.metadata:
-                dtype = f.metadata["dtype"]
-                scalar = np.dtype(wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype))).kind
-                columns = (f.metadata["columns"],) if f.metadata["columns"] else getattr(dtype, "_shape_", ())
+                scalar, columns = _kind_of(f.metadata["dtype"])
+                columns = (f.metadata["columns"],) if f.metadata["columns"] else columns
                 found[f"{block}.{f.name}"] = scalar, f.metadata["size"], columns, f.metadata["when"] or when
     return found
 
@@ -357,6 +378,8 @@ class State:
             where a budget is kept, of energy (J), of motion and of height and surfactant; None without a rim or L.
         carried: name -> [n_l] how much L hold of what the scene declares, and NAME_rim, what the rim has from each.
         declared: what that is.
+        sets: name -> name -> [n] arrays of the scene's own particles.
+        remembered: what the scene's own stages remember, STAGE.NAME.
         memory: what stages remember.
         course: what the host remembers.
         seen: how far particles had moved after the last steps, as the host sees it; see `NeighborLists`.
@@ -384,6 +407,7 @@ class State:
         names = [name for name, *_ in carried_arrays(features.carried, features.collects)] if l else []
         self.carried = {name: wp.zeros(l.count, dtype=wp.float32, device=device) for name in names}
         self.declared = features.carried
+        self.sets = {one.name: _start(one, device, origin) for one in features.sets}
         self.f, self.d = f, d
         if features.bursts and f is None:
             self.f, self.d = allocate(FreeRimState, {"f": 0}, device), allocate(DropState, {"d": 0}, device)
@@ -391,6 +415,11 @@ class State:
         self.motion = wp.zeros(regions, dtype=wp.vec3, device=device)
         self.border = wp.zeros(len(BORDER_SLOTS), dtype=wp.float64, device=device) if features.collects else None
         self.memory = allocate(Memory, self.sizes, device, features)
+        self.remembered = {
+            f"{stage.name}.{key}": wp.zeros(self.sizes.get(size, size), dtype=dtype, device=device)
+            for stage in features.stages
+            for key, (dtype, size) in stage.remembers.items()
+        }
         self.course = Course(crossed=time, mixed=time)
         self.seen = Reading(self.memory.travel)
         self.ids = {"e": np.arange(e.count), "l": np.arange(l.count if l else 0)}
@@ -421,6 +450,8 @@ class State:
             f"{block}.{k}": a for block, held in blocks.items() if held is not None for k, a in _arrays(held).items()
         }
         named |= {f"l.{name}": array for name, array in self.carried.items()}
+        named |= {f"{one}.{name}": array for one, held in self.sets.items() for name, array in held.items()}
+        named |= {f"memory.{name}": array for name, array in self.remembered.items()}
         named |= {"gas": self.gas, "motion": self.motion}
         return named if self.border is None else named | {"border": self.border}
 

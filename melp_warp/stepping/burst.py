@@ -13,7 +13,7 @@ import numpy as np
 from melp_warp.bursting import Puncture
 from melp_warp.device.launch import launch
 from melp_warp.errors import SimulationError
-from melp_warp.frame import ParticleFrame
+from melp_warp.frame import ParticleFrame, beads
 from melp_warp.kernels import free_rim as kr
 from melp_warp.measure.fits import connected, nearest_distance, squares
 from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT
@@ -173,13 +173,13 @@ class Burst:
             drops = sim.state.d
             x, u, mass = (a.numpy().astype(np.float64) for a in (drops.x, drops.u, drops.mass))
             width = 2.0 * np.cbrt(3.0 * mass / (4.0 * np.pi * self.scene.material.density))
-            return _beads(x + shift, u, width, np.tile([0.0, 1.0, 0.0], (len(x), 1)), sim.origin, sim.state.ids["d"])
+            return beads(x + shift, u, width, np.tile([0.0, 1.0, 0.0], (len(x), 1)), sim.origin, sim.state.ids["d"])
         rims = self._rims
         parts = [rims.beads(chain, self.scene.material.density, sim.film.spacing) for chain in rims.chains]
         if not parts:
             return ParticleFrame.empty(tuple(sim.origin.tolist()))
         x, u, width, normal = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-        frame = _beads(x + shift, u, width, normal, sim.origin, np.arange(len(x)))
+        frame = beads(x + shift, u, width, normal, sim.origin, np.arange(len(x)))
         frame.region = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part[0]) for part in parts])
         return frame
 
@@ -461,21 +461,6 @@ def keep_e(stored: Stored, kept: np.ndarray) -> None:
     if "memory.area" in arrays:
         arrays["memory.area"] = arrays["memory.area"][kept]
     stored.ids["e"] = stored.ids["e"][kept]
-
-
-def _beads(x, u, width, normal, origin: np.ndarray, ids: np.ndarray) -> ParticleFrame:
-    """Beads of liquid as a set of particles."""
-    return ParticleFrame(
-        points=x.astype(np.float32),
-        velocities=u.astype(np.float32),
-        ids=ids.astype(np.int64),
-        widths=width.astype(np.float32),
-        normals=normal.astype(np.float32),
-        thickness=(1e9 * width).astype(np.float32),
-        region=np.zeros(len(x), dtype=np.int32),
-        black_film=np.zeros(len(x), dtype=np.int32),
-        origin=tuple(origin.tolist()),
-    )
 
 
 def _ring(start: np.ndarray, end: np.ndarray, normal: np.ndarray, radius: float, length: float) -> np.ndarray:

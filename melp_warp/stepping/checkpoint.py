@@ -15,14 +15,12 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 
 import numpy as np
 
 import melp_warp
-from melp_warp.carried import Carried
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
 from melp_warp.files import load_arrays, save_arrays
@@ -77,9 +75,17 @@ class Checkpoint:
 
 def describe(scene: Scene) -> dict[str, object]:
     """The numbers and choices of a scene by name, as JSON can say them. Fields of points are left out."""
-    said = {key: value for key, value in _flat("", scene) if key not in ("name", "frames", "forces", "carried")}
+    said = {
+        key: value
+        for key, value in _flat("", scene)
+        if key not in ("name", "frames", "forces", "carried", "stages", "sets")
+    }
     for k, one in enumerate(scene.carried):
         said |= dict(_flat(f"carried.{k}", one))
+    for k, stage in enumerate(scene.stages):
+        said[f"stages.{k}"] = stage.name
+    for k, one in enumerate(scene.sets):
+        said |= {f"sets.{k}.{key}": value for key, value in one.describe().items()}
     for k, force in enumerate(scene.forces):
         said |= {f"forces.{k}.{key}": value for key, value in force.describe().items()}
     return said
@@ -154,8 +160,11 @@ def write(
     Raises:
         OSError: it cannot be written; what was there before still is.
     """
+    arrays, ours = state.numpy(), declared()
+    extras = {name: (array.dtype.kind, array.ndim) for name, array in arrays.items() if name not in ours}
     header = {
         "format": FORMAT,
+        **({"extras": extras} if extras else {}),
         "program": melp_warp.__version__,
         "scene": describe(scene),
         "film": dict(film),
@@ -164,7 +173,7 @@ def write(
         "notices": notices.save(),
         "run": dict(run or {}),
     }
-    members = {HEADER: np.frombuffer(json.dumps(header).encode(), dtype=np.uint8), **state.numpy()}
+    members = {HEADER: np.frombuffer(json.dumps(header).encode(), dtype=np.uint8), **arrays}
     save_arrays(path, {**members, CHECKSUM: checksum(members)})
 
 
@@ -213,7 +222,7 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
     """
     header = read_header(path)
     compare(path, header["scene"], scene, changed)
-    shapes, arrays = declared(scene.carried), _load_all(path, scene.carried)
+    shapes, arrays = declared(scene), _load_all(path, scene)
     try:
         course = check_course(header["course"], scene)
         features = Features.of(scene, course.holed)
@@ -238,26 +247,26 @@ def check_sum(path: str | os.PathLike) -> None:
     """Refuse a file that is not what was written: `InputError`."""
     header = read_header(path)
     try:
-        _require_sum(_load_all(path, _carried_by(header)))
+        _require_sum(_load_all(path, None, _extras_of(header)))
     except InputError as error:
         raise InputError(f"checkpoint {path} cannot be used: {error}") from None
 
 
-def _carried_by(header: Mapping) -> list[Carried]:
-    """What L carry by the numbers of a scene in a header.
-
-    Raises:
-        InputError: they are none of ours.
-    """
-    numbers = header["scene"] if isinstance(header["scene"], dict) else {}
-    return [Carried(name, "") for key, name in numbers.items() if re.fullmatch(r"carried\.\d+\.name", str(key))]
-
-
-def _load_all(path: str | os.PathLike, carried: Sequence[Carried]) -> dict[str, np.ndarray]:
-    """All members that a checkpoint may have."""
-    all_of = declared(carried)
+def _load_all(path: str | os.PathLike, scene: Scene | None, extras: Mapping | None = None) -> dict[str, np.ndarray]:
+    """All members that a checkpoint may have, with those of a scene or the `extras` that a header tells of."""
+    all_of = declared(scene)
     shapes = {name: (kind, len(columns) + (size is not None)) for name, (kind, size, columns, _) in all_of.items()}
-    return load_arrays(path, {**shapes, HEADER: ("i", 1), CHECKSUM: ("i", 1)})
+    return load_arrays(path, {**(extras or {}), **shapes, HEADER: ("i", 1), CHECKSUM: ("i", 1)})
+
+
+def _extras_of(header: Mapping) -> dict[str, tuple[str, int]]:
+    """Kind and dimensions of the arrays that a scene has brought along, as a header tells."""
+    told = header.get("extras", {})
+    right = isinstance(told, dict) and all(
+        isinstance(one, list) and len(one) == 2 and one[0] in ("f", "i") and one[1] in (1, 2) for one in told.values()
+    )
+    require(right, "extras", told, "kind and dimensions of arrays")
+    return {name: (kind, ndim) for name, (kind, ndim) in told.items()}
 
 
 def _require_sum(members: Mapping[str, np.ndarray]) -> None:

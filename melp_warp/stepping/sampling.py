@@ -234,7 +234,7 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
     if features.closed:
         film = replace(film, radius=float(np.sqrt(scene.shape.area / (4.0 * np.pi))))
     if features.moving:
-        _relax(scene, Stepper(film, state))
+        _relax(scene, Stepper(replace(film, features=replace(features, stages=())), state))
         state.forget()
         if features.closed:
             film = replace(film, radius=float(np.cbrt(3.0 * state.gas.numpy()[0, 0] / (4.0 * np.pi))))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Iterator
 from functools import reduce
 from itertools import chain
 from operator import add
@@ -14,9 +15,10 @@ import warp as wp
 from melp_warp.device.launch import Recorded, launch
 from melp_warp.device.linear import WORTHLESS, Account, ConjugateGradient, RationalLaplacian
 from melp_warp.device.scalars import Setting
-from melp_warp.errors import LeapError, SimulationError
+from melp_warp.errors import LeapError, SimulationError, require
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import transfer as kt
+from melp_warp.stage import TABLE
 from melp_warp.stages.advance import EulerianAdvance, LagrangianAdvance
 from melp_warp.stages.carriage import Carriage
 from melp_warp.stages.circulation import Circulation
@@ -35,10 +37,7 @@ from melp_warp.stages.surfactant import Fields, Tangential
 from melp_warp.stages.transfer import Transfer
 from melp_warp.stepping.budget import Budget
 
-STAGES = ("neighbors", "l_to_e", "geometry", "membrane", "surfactant", "e_to_l", "advance_e", "advance_l")
-
-LATER = ("geometry", "advance_l")
-"""Stages after E have moved, when their lists may have to be rebuilt."""
+STAGES = tuple(row.name for row in TABLE)
 
 GAS_LAW = 1e-3
 """Largest relative error of p V = n R T at the end of a frame."""
@@ -48,9 +47,6 @@ SOLVED_IN = {
     "circulation": "l_to_e",
 }
 """Stage of each kind of solve."""
-
-OF_L = ("l_to_e", "e_to_l", "advance_l")
-"""Stages whose largest kernels have a thread an L."""
 
 
 class Stepper:
@@ -106,13 +102,13 @@ class Stepper:
         self.at_rest = film.zeros(film.regions, wp.vec3) if f.foam else self.frame
         self.dt = Setting(film.device)
         self._all, self._half = (wp.full(1, share, dtype=wp.float32, device=film.device) for share in (1.0, 0.5))
-        self.wall = dict.fromkeys(STAGES, 0.0)
+        self.extras = [stage(weakref.proxy(self)) for stage in f.stages]
+        self.wall = dict.fromkeys([*STAGES, *(stage.name for stage in self.extras)], 0.0)
         self.accounts: dict[str, Account] = {}
         self.whole = film.device.is_cuda
         rows = max(film.n_e, film.n_l)
-        self._stages = {
-            name: Recorded(run, film.device, rows if name in OF_L else film.n_e) for name, run in self._table().items()
-        }
+        self._later = {row.name for row in TABLE if row.later}
+        self._stages = {name: Recorded(run, film.device, self._rows(name)) for name, run in self._all_stages()}
         self._graphs = [Recorded(run, film.device, rows) for run in (self._move, self._follow)]
         self.geometry.update() if fresh else self.geometry.again()
 
@@ -137,6 +133,26 @@ class Stepper:
         }
         return {name: run for name, run in table.items() if run is not None}
 
+    def _all_stages(self) -> Iterator[tuple[str, Callable[[], None]]]:
+        """The stages in their order, the scene's own after those that they name."""
+        table = self._table()
+        for stage in self.extras:
+            require(
+                stage.after in table, f"after of stage {stage.name}", stage.after, f"one of {', '.join(table)} here"
+            )
+        for name, run in table.items():
+            yield name, run
+            for stage in self.extras:
+                if stage.after == name:
+                    if name in self._later:
+                        self._later.add(stage.name)
+                    yield stage.name, stage.run
+
+    def _rows(self, name: str) -> int:
+        """Threads of a stage's largest kernels."""
+        of_e = any(row.name == name and not row.of_l for row in TABLE)
+        return self.film.n_e if of_e else max(self.film.n_e, self.film.n_l)
+
     def step(self, dt: float) -> None:
         """Advance the film by dt (s)."""
         self.prepare(dt)
@@ -158,16 +174,18 @@ class Stepper:
         for stage in (self.forces, self.exchange, self.mixing, self.transfer, self.membrane, self.tangential):
             if stage is not None:
                 stage.prepare(dt)
+        for stage in self.extras:
+            stage.prepare(dt)
         self.lists.expect(dt)
         return self.dt.at(dt)
 
     def _move(self) -> None:
         """Run the stages up to where E have moved."""
-        self._run(lambda name: name not in LATER)
+        self._run(lambda name: name not in self._later)
 
     def _follow(self) -> None:
         """Run the other stages."""
-        self._run(lambda name: name in LATER)
+        self._run(lambda name: name in self._later)
 
     def _run(self, wanted: Callable[[str], bool]) -> None:
         for name, stage in self._stages.items():
@@ -332,6 +350,8 @@ class Stepper:
         self.lists.check()
         if self.film.features.foam:
             self.membrane.check()
+        for stage in self.extras:
+            stage.check()
 
     def settle(self) -> None:
         """Bring the state up to date with what stages sum up over several steps."""

@@ -145,6 +145,9 @@ WHOLE = f"{SURFACE}/Whole"
 FREE_RIMS, DROPS = "FreeRims", "Droplets"
 """Names under /World of the liquid that is no film: the rims of holes and the drops that they break into."""
 
+FILM_SETS = ("Film", "FilmE")
+"""Names under /World of the sets that are film: of all others `thickness` is a diameter."""
+
 RIM = "Rim"
 _NAMES_TAKEN = ("Looks", RIM, SURFACE)
 
@@ -181,7 +184,7 @@ def attributes_of(prim: str, layout: Layout = PLAIN) -> tuple[Attribute, ...]:
     if is_mesh(prim):
         return MESH_ATTRIBUTES
     own = PACKED_ATTRIBUTES if prim in layout.packed else ATTRIBUTES
-    if prim in (FREE_RIMS, DROPS) or not layout.carried:
+    if prim not in FILM_SETS or not layout.carried:
         return own
     more = (_SHARED["primvars:thickness"]._replace(name=f"primvars:{n}", field=f"carried.{n}") for n in layout.carried)
     return (*own[:-1], *more, own[-1])
@@ -203,7 +206,7 @@ def layout_of(layer, prims: Sequence[str]) -> Layout:
     """What the particle sets of a layer have."""
     packed = {prim for prim in prims if layer.GetAttributeAtPath(f"/World/{prim}.{PACKED_NORMALS.name}")}
     known = {attribute.name for attribute in with_rows((*ATTRIBUTES, *PACKED_ATTRIBUTES))}
-    sets = [layer.GetPrimAtPath(f"/World/{p}") for p in prims if not is_mesh(p) and p not in (FREE_RIMS, DROPS)]
+    sets = [layer.GetPrimAtPath(f"/World/{p}") for p in prims if p in FILM_SETS]
     names = [spec.name for spec in sets[0].attributes] if sets and sets[0] else []
     more = [name for name in names if name.startswith("primvars:") and name not in known]
     return Layout(frozenset(packed), tuple(name.removeprefix("primvars:") for name in more))
@@ -576,7 +579,7 @@ def _set_purposes(stage, prims: Sequence[str]) -> None:
     """Show one thing by default, the meshes or else the first set of particles; the others are guides."""
     from pxr import UsdGeom
 
-    points = [prim for prim in prims if not is_mesh(prim) and prim not in (FREE_RIMS, DROPS)]
+    points = [prim for prim in prims if prim in FILM_SETS]
     for prim in points if any(map(is_mesh, prims)) else points[1:]:
         UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{prim}")).CreatePurposeAttr(UsdGeom.Tokens.guide)
 

@@ -15,7 +15,7 @@ from melp_warp.frame import WholeFrame
 from melp_warp.optics import display_color
 from melp_warp.usd.cache import (
     CLIP_TEMPLATE,
-    DROPS,
+    FILM_SETS,
     FRAMES,
     FREE_RIMS,
     LARGEST,
@@ -468,7 +468,7 @@ def _check_arrays(
             problems.append(f"{where}.{attribute.name}: {len(array)} values for {what}")
             del arrays[attribute.name]
     for rule_name, rule in _RULES:
-        if rule_name in arrays and not (rule is _check_thickness and prim in (FREE_RIMS, DROPS)):
+        if rule_name in arrays and not (rule is _check_thickness and not is_mesh(prim) and prim not in FILM_SETS):
             problems += [f"{where}.{rule_name}: {problem}" for problem in rule(arrays, metadata)]
     if prim == WHOLE and {a.name for a in attributes_of(prim)} <= set(arrays):
         problems += [f"{where}: {problem}" for problem in _check_whole_arrays(arrays, rims)]

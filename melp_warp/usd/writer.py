@@ -25,6 +25,7 @@ class UsdWriter:
         self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
         if plan.scene.bursting.possible:
             self._sets |= {FREE_RIMS: "rims", DROPS: "drops"}
+        self._sets |= {one.name: one.name for one in plan.scene.sets}
         metadata = {
             "scene": plan.name,
             "seed": plan.scene.seed,
