@@ -2,41 +2,45 @@
 
 import warp as wp
 
-from melp_warp.kernels.native import Blocks
+from melp_warp.kernels.native import Blocks, exchange_blocks, write_held
 from melp_warp.kernels.neighbors import Neighbors
+from melp_warp.kernels.sph import tangent_basis
 
 wp.set_module_options({"enable_backward": False})
 
-REACH = wp.constant(2.0)
+REACH = wp.constant(3.0)
 """Distance within which L mix, L spacings."""
 
-SPREAD = wp.constant(0.9549297)
-"""3/pi: with it the shares (1 - x^2/R^2)^2 of L at an even spacing d, R = 2 d, spread by 4 d^2 in the mean square."""
+SPREAD = wp.constant(0.1886)
+"""16/(27 pi): shares (1 - x^2/R^2)^2 of L at an even spacing d, R = 3 d, spread by 4 d^2 in the mean square with it."""
 
-MOST = wp.constant(0.125)
-"""Largest C |S| t of a pass: an L then gives away half of what it has, in exchange."""
+MOST = wp.constant(0.4)
+"""Largest C |S| t of a pass: an L then gives away 0.7 of what it has, in exchange."""
 
+LEAST = wp.constant(1.0e-4)
+"""C |S| t below which L do not mix."""
 
 SLOWEST = wp.constant(0.1)
-"""Shear rate of which a half counts, 1/s: slower ones are the small waves of a film at rest, which come and go."""
+"""Shear rate that does not count, 1/s: as much have the small waves of a film at rest, which come and go."""
 
 WOBBLE = wp.constant(0.15)
-"""The same as a share of the vorticity: liquid that turns as a whole has as much of it from transfers."""
+"""The same as a share of the vorticity: liquid that turns as a whole has as much from transfers, and near a rim."""
 
 
 @wp.func
 def shear_of(affine: wp.mat33, n: wp.vec3) -> float:
     """Shear rate sqrt(2 S:S) of a velocity gradient along the film, without what it widens or narrows, 1/s.
 
-    Of shear near what nothing but noise makes little counts: s^2/(s + s_0).
+    What nothing but noise makes of it is taken off.
     """
-    across = wp.identity(n=3, dtype=float) - wp.outer(n, n)
-    g = across * affine * across
-    s = 0.5 * (g + wp.transpose(g)) - 0.5 * wp.trace(g) * across
-    rate = wp.sqrt(2.0 * wp.ddot(s, s))
-    turn = g - wp.transpose(g)
-    noise = SLOWEST + WOBBLE * wp.sqrt(0.5 * wp.ddot(turn, turn))
-    return rate * rate / (rate + noise)
+    e1, e2 = tangent_basis(n)
+    along = affine * e1
+    beside = affine * e2
+    stretch = wp.dot(e1, along) - wp.dot(e2, beside)
+    shear = wp.dot(e1, beside) + wp.dot(e2, along)
+    turn = wp.abs(wp.dot(e2, along) - wp.dot(e1, beside))
+    rate = wp.sqrt(stretch * stretch + shear * shear)
+    return wp.max(rate - SLOWEST - WOBBLE * turn, 0.0)
 
 
 @wp.kernel
@@ -51,12 +55,13 @@ def give_held_l(
     density: float,
     place: wp.array(dtype=wp.int32),
     behind: wp.array(dtype=wp.int32),
+    strength: float,
+    time: wp.array(dtype=float),
     # outputs
-    where: wp.array(dtype=wp.vec3),
-    flow: wp.array(dtype=wp.vec3),
+    pack: wp.array(dtype=float),
     held: wp.array(dtype=wp.vec4),
 ):
-    """Sort what L mix by their homes. [n_l] each, by place.
+    """Sort what L mix by their homes.
 
     Args:
         x: [n_l] m.
@@ -68,20 +73,23 @@ def give_held_l(
         eta: [n_l] m.
         density: kg/m^3.
         place: [n_l] place of each L.
-        behind: [n_l] 1 for L whose liquid is a free rim's, which have no area to mix by; null for a film without holes.
-        where: x.
-        flow: u.
-        held: (mass, surfactant, area, shear rate).
+        behind: [n_l] 1 for L whose liquid is a free rim's, which do not mix; null for a film without holes.
+        strength: C.
+        time: [1] s since the last pass.
+        pack: for the L at each place, packed by `native.write_held`, its position, what it holds and its velocity.
+        held: [n_l] area, C |S| t, at most `MOST`, mass and surfactant on a unit of area.
     """
     i = wp.tid()
-    k = place[i]
-    where[k] = x[i]
-    flow[k] = u[i]
     area = mass[i] / (density * eta[i])
+    rate = MOST * (1.0 - wp.exp(-strength * shear_of(affine[i], normal[i]) * time[0] / MOST))
+    mine = wp.vec4(1.0, 0.0, 0.0, 0.0)
+    lost = area <= 0.0
     if behind:
-        if behind[i] == 1:
-            area = 0.0
-    held[k] = wp.vec4(mass[i], surfactant[i], area, shear_of(affine[i], normal[i]))
+        lost = lost or behind[i] == 1
+    if not lost:
+        mine = wp.vec4(area, wp.where(rate < LEAST, 0.0, rate), mass[i] / area, surfactant[i] / area)
+    held[i] = mine
+    write_held(place[i], x[i], mine, u[i], pack)
 
 
 @wp.kernel
@@ -91,12 +99,10 @@ def mix_l(
     place: wp.array(dtype=wp.int32),
     rows: Neighbors,
     block: Blocks,
-    where: wp.array(dtype=wp.vec3),
-    flow: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    pack: wp.array(dtype=float),
     held: wp.array(dtype=wp.vec4),
     spacing: float,
-    strength: float,
-    time: wp.array(dtype=float),
     # outputs
     u: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=float),
@@ -107,7 +113,7 @@ def mix_l(
 
     A pair i, j exchanges k a (q_j - q_i), q the mass and the surfactant a unit of area, a the harmonic mean of their
     areas, and with the mass their mean velocity: both see the same, so that liquid, surfactant and momentum stay to
-    rounding, and so do the areas.
+    rounding, and so do the areas. It goes by the smaller of their two rates.
 
     Args:
         x_e: [n] E, m.
@@ -115,53 +121,22 @@ def mix_l(
         place: [n_l] place of each L.
         rows: E:E neighbours.
         block: blocks of L by homes; L far from any E do not mix.
-        where: from `give_held_l`, m.
-        flow: from `give_held_l`, m/s.
-        held: from `give_held_l`.
+        x: [n_l] m.
+        pack: from `give_held_l`.
+        held: [n_l] from `give_held_l`.
         spacing: d of L, m.
-        strength: C.
-        time: [1] s since the last pass.
         u: [n_l] m/s.
         mass: [n_l] kg.
         surfactant: [n_l] mol.
         eta: [n_l] m.
     """
     i = wp.tid()
-    own = place[i]
-    limit = block.start.shape[0] - 2
-    if own < block.start[limit]:
-        h = home[i]
-        p = where[own]
-        mine = held[own]
-        if mine[2] <= 0.0:
-            return
-        reach = REACH * spacing
-        gained = float(0.0)
-        active = float(0.0)
-        pushed = wp.vec3()
-        for k in range(rows.start[h] - 1, rows.stop[h]):
-            j = h
-            if k >= rows.start[h]:
-                j = rows.index[k]
-            if j < limit:
-                far = reach + block.reach[j]
-                if wp.length_sq(x_e[j] - p) < far * far:
-                    for m in range(block.start[j], block.start[j + 1]):
-                        s = wp.length_sq(where[m] - p) / (reach * reach)
-                        if s < 1.0 and m != own:
-                            other = held[m]
-                            if other[2] <= 0.0:
-                                continue
-                            rate = strength * 0.5 * (mine[3] + other[3]) * time[0]
-                            share = SPREAD * MOST * (1.0 - wp.exp(-rate / MOST)) * (1.0 - s) * (1.0 - s)
-                            shared = share * 2.0 * mine[2] * other[2] / (mine[2] + other[2])
-                            gain = shared * (other[0] / other[2] - mine[0] / mine[2])
-                            gained += gain
-                            active += shared * (other[1] / other[2] - mine[1] / mine[2])
-                            pushed += gain * 0.5 * (flow[own] + flow[m])
-        whole = mine[0] + gained
+    mine = held[i]
+    if mine[1] > 0.0 and place[i] < block.start[block.start.shape[0] - 2]:
+        found = 2.0 * SPREAD * exchange_blocks(home[i], x[i], mine, x_e, pack, block, rows, REACH * spacing)
+        whole = mass[i] + found[0]
         if whole > 0.0:
-            u[i] = (mine[0] * flow[own] + pushed) / whole
-            eta[i] = eta[i] * whole / mine[0]
+            u[i] = (mass[i] * u[i] + 0.5 * (wp.vec3(found[2], found[3], found[4]) + found[0] * u[i])) / whole
+            eta[i] = eta[i] * whole / mass[i]
             mass[i] = whole
-            surfactant[i] = mine[1] + active
+            surfactant[i] = surfactant[i] + found[1]

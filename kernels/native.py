@@ -585,6 +585,80 @@ def gather_amount(
     ...
 
 
+@wp.func_native(f"""{ROW}
+    const int limit = block.start.shape[0] - 2;
+    const float* homes = (const float*)home.data;
+    const float inverse = 1.0f / (reach * reach);
+    const float px = p[0], py = p[1], pz = p[2], area = held[0], rate = held[1], liquid = held[2], solute = held[3];
+    float sums[5][8] = {{}};
+    for (int n = first - 1; n < last; ++n)
+    {{
+        const int h = n < first ? i : index[n];
+        if (h >= limit)
+            continue;
+        const float hx = homes[3 * h] - px, hy = homes[3 * h + 1] - py, hz = homes[3 * h + 2] - pz;
+        const float most = reach + block.reach.data[h];
+        if (hx * hx + hy * hy + hz * hz > most * most)
+            continue;
+        const int begin = block.start.data[h], end = block.start.data[h + 1];
+        for (int from = begin & ~7; from < end; from += 8)
+        {{
+            const float* g = pack.data + 10 * (size_t)from;
+            float w[8];
+            for (int lane = 0; lane < 8; ++lane)
+                w[lane] = from + lane >= begin && from + lane < end ? 1.0f : 0.0f;
+{LANES}
+            for (int lane = 0; lane < 8; ++lane)
+            {{
+                const float ox = px - g[lane], oy = py - g[8 + lane], oz = pz - g[16 + lane], other = g[24 + lane];
+                const float s = (ox * ox + oy * oy + oz * oz) * inverse, v = s < 1.0f ? 1.0f - s : 0.0f;
+                const float least = rate < g[32 + lane] ? rate : g[32 + lane];
+                const float shared = w[lane] * least * v * v * area * other / (area + other);
+                const float gain = shared * (g[40 + lane] - liquid);
+                sums[0][lane] += gain;
+                sums[1][lane] += shared * (g[48 + lane] - solute);
+                sums[2][lane] += gain * g[56 + lane];
+                sums[3][lane] += gain * g[64 + lane];
+                sums[4][lane] += gain * g[72 + lane];
+            }}
+        }}
+    }}
+    wp::vec_t<5, float> total;
+    for (int m = 0; m < 5; ++m)
+        for (int lane = 0; lane < 8; ++lane)
+            total[m] += sums[m][lane];
+    return total;
+""")
+def exchange_blocks(
+    i: int,
+    p: wp.vec3,
+    held: wp.vec4,
+    home: wp.array(dtype=wp.vec3),
+    pack: wp.array(dtype=float),
+    block: Blocks,
+    rows: Neighbors,
+    reach: float,
+) -> vec5:
+    """sum_j g_j (1, u_j), g_j = s_j (q_j - q), and sum_j s_j (c_j - c), over points in blocks near p, whose home is i.
+
+    s_j = min(rate, rate_j) (1 - |p - x_j|^2/reach^2)^2 a a_j/(a + a_j), 0 beyond `reach`. The blocks are those of i and
+    of the entries of its row. `held` is (a, rate, q, c); a pack has eight points, component by component: x, a, rate,
+    q, c, u, see `write_held`. The result is (g, s (c_j - c), g u).
+    """
+    ...
+
+
+@wp.func
+def write_held(place: int, x: wp.vec3, held: wp.vec4, u: wp.vec3, pack: wp.array(dtype=float)):
+    """Write the ten numbers of the point at `place` for `exchange_blocks`."""
+    at = 80 * (place / 8) + place % 8
+    for a in range(3):
+        pack[at + 8 * a] = x[a]
+        pack[at + 8 * (7 + a)] = u[a]
+    for a in range(4):
+        pack[at + 8 * (3 + a)] = held[a]
+
+
 @wp.func
 def write_pack(place: int, x: wp.vec3, m: wp.vec3, s: wp.vec3, slope: wp.mat33, pack: wp.array(dtype=float)):
     """Write the eighteen numbers of the point at `place` for `gather_blocks`."""

@@ -372,8 +372,9 @@ class Simulation:
             return left
         limit = self.state.course.limit = self.largest_step()
         if limit * MOST_STEPS * self.scene.fps < 1.0 - 1e-9:
+            speed = self.stepper.lists.fastest
             raise SimulationError(
-                f"stage advance_e: cfl asks for steps of {limit:.3g} s at a speed of {self._fastest():.3g} m/s,"
+                f"stage advance_e: cfl asks for steps of {limit:.3g} s at a speed of {speed:.3g} m/s,"
                 f" more than {MOST_STEPS:,} a frame"
             )
         count = max(1, math.ceil(left / limit - 1e-6))
@@ -425,22 +426,17 @@ class Simulation:
         if self.burst is not None:
             limit = min(limit, self.burst.longest_step())
         if self.film.features.single:
-            limit = min(limit, self.stepper.longest_step(self._fastest()))
+            limit = min(limit, self.stepper.longest_step(self.stepper.lists.fastest))
         if self.scene.dt is not None:
             return min(limit, self.scene.dt)
         if self.film.features.foam:
-            limit = min(limit, self.stepper.membrane.longest_step(self._fastest()))
+            limit = min(limit, self.stepper.membrane.longest_step(self.stepper.lists.fastest))
         reach = self.scene.numerics.cfl * self.film.spacing
         if self.state.course.limit == 0.0:
             return min(limit, reach / self.state.course.speed)
-        speed = self._fastest()
+        speed = self.stepper.lists.fastest
         wanted = min(2.0 * self.state.course.limit, reach / speed if speed > 0.0 else limit)
         return min(limit, wanted)
-
-    def _fastest(self) -> float:
-        """Speed of the fastest particle in the last step, on a GPU in the one before, m/s; 0 where none was done."""
-        seen = self.stepper.lists.seen.get()
-        return float(seen[0][2:4].max()) / seen[1][0] if seen else 0.0
 
     def _fastest_wave(self) -> float:
         """Fastest wave: sqrt(2 sigma/m) where the film can move, sqrt(2 R T Gamma/m) where it is flat, m/s."""

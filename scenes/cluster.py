@@ -17,6 +17,7 @@ except ModuleNotFoundError as error:
 
 PARAMETERS = declare(
     **FOAM | {"damping": 20.0},
+    mixing=2.0,
     radius_low=0.0435,
     radius_high=0.06,
     offset=(0.1, Key("-", "largest random move of a centre along each axis, relative to the packing", 0.0, 0.3)),

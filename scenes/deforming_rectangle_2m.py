@@ -29,6 +29,7 @@ PARAMETERS = declare(
     gravity=9.81,
     air="added_mass",
     carrier="circulation",
+    mixing=2.0,
     e_count=4050,
     l_per_e=16,
     frames=96,

@@ -13,6 +13,7 @@ except ModuleNotFoundError as error:
 
 PARAMETERS = declare(
     **FOAM | {"damping": 20.0, "exchange": 2.0},
+    mixing=2.0,
     radius_1=0.05,
     radius_2=0.05,
     thickness_1=500e-9,

@@ -16,6 +16,7 @@ except ModuleNotFoundError as error:
 
 PARAMETERS = declare(
     **FOAM | {"damping": 20.0},
+    mixing=2.0,
     radius=0.05,
     gap=0.5,
     approach_speed=0.2,

@@ -33,6 +33,7 @@ PARAMETERS = declare(
     swirl=0.1,
     puncture_time=None,
     flip=0.95,
+    mixing=1.0,
     opening=0.0,
     e_count=2000,
     l_per_e=16,

@@ -26,6 +26,7 @@ PARAMETERS = declare(
     noise_octaves=2,
     surfactant=4e-6,
     carrier="circulation",
+    mixing=2.0,
     e_count=4000,
     l_per_e=16,
     frames=192,

@@ -28,6 +28,7 @@ PARAMETERS = declare(
     noise=0.05,
     surfactant=4e-6,
     carrier="circulation",
+    mixing=2.0,
     e_count=8192,
     l_per_e=16,
     frames=192,

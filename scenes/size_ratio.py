@@ -13,6 +13,7 @@ except ModuleNotFoundError as error:
 
 PARAMETERS = declare(
     **FOAM | {"damping": 15.0},
+    mixing=2.0,
     radius_1=0.05,
     ratio=(0.6, Key("-", "radius of the second bubble over that of the first", 0.05, 1.0)),
     gap=1.0,

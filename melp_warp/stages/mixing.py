@@ -14,8 +14,8 @@ from melp_warp.stages.film import Film
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.state import State
 
-STEPS_APART = 2
-"""Steps from one pass to the next: what it exchanges is for the time since the last."""
+WAY = 1.0
+"""Way of the fastest particle from one pass to the next, E spacings."""
 
 
 class Mixing:
@@ -32,18 +32,17 @@ class Mixing:
     def __init__(self, film: Film, state: State, lists: NeighborLists, carriage: Carriage | None):
         self.film, self.state, self.lists, self.carriage = film, state, lists, carriage
         self.due, self._time = False, Setting(film.device)
-        self._where, self._flow = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l, wp.vec3)
-        self._held = film.zeros(film.n_l, wp.vec4)
+        self._pack, self._held = film.zeros(80 * math.ceil(film.n_l / 8)), film.zeros(film.n_l, wp.vec4)
         self._spacing = film.spacing * math.sqrt(film.n_e / film.n_l)
 
     def prepare(self, dt: float) -> None:
-        """Count a step of dt (s), and set whether and for how long a time L mix before it."""
+        """Note that a step of dt (s) is to come, and set whether and for how long a time L mix before it."""
         course = self.state.course
-        course.unmixed += 1
-        self.due = course.unmixed > STEPS_APART
+        self.due = course.unmixed >= WAY * self.film.spacing
         if self.due:
             self._time.at(self.state.time - course.mixed)
-            course.mixed, course.unmixed = self.state.time, 1
+            course.mixed, course.unmixed = self.state.time, 0.0
+        course.unmixed += self.lists.fastest * dt
 
     def apply(self) -> None:
         """Let L mix; follows the lists."""
@@ -57,20 +56,19 @@ class Mixing:
     def _mix(self, amount: wp.array, held: list) -> None:
         """Let L exchange what they have, `held`, with an `amount` [n_l] of it."""
         film, lag, lists = self.film, self.state.l, self.lists
-        by_home = [Shared(a) for a in (self._where, self._flow, self._held)]
         film.launch_l(
             kx.give_held_l,
             [
                 *(lag.x, lag.u, lag.affine, lag.normal, lag.mass, amount, lag.eta),
-                *(film.material.density, lists.el.place, lag.behind),
+                *(film.material.density, lists.el.place, lag.behind, film.numerics.mixing, self._time.array),
             ],
-            by_home,
+            [Shared(self._pack), self._held],
         )
         film.launch_l(
             kx.mix_l,
             [
                 *(Shared(self.state.e.x), lists.le.home, lists.el.place, Shared(lists.ee.rows), lists.el.blocks),
-                *(*by_home, self._spacing, film.numerics.mixing, self._time.array),
+                *(lag.x, Shared(self._pack), self._held, self._spacing),
             ],
             held,
         )

@@ -233,7 +233,7 @@ class Course:
         clock: time that the lists have seen, s.
         crossed: time of the last exchange of liquid between films, s.
         mixed: time of the last exchange of L that mix, s.
-        unmixed: steps since then.
+        unmixed: way of the fastest particle since then, m.
         fresh: whether a foam has done no step since it was set up.
         paid: share of what it passes on late that a foam has passed on in the last step.
         labels: the scene's number of each region.
@@ -258,7 +258,7 @@ class Course:
     clock: float = 0.0
     crossed: float = 0.0
     mixed: float = 0.0
-    unmixed: int = 0
+    unmixed: float = 0.0
     fresh: bool = True
     paid: float = 0.0
     labels: list[int] = field(default_factory=lambda: [0])

@@ -12,7 +12,7 @@ import numpy as np
 
 from melp_warp.stages.state import AMOUNT, GAS_SLOTS, GAUGE, VOLUME, State
 
-AMOUNTS = ("mass", "surfactant", "circulation")
+AMOUNTS = ("mass", "surfactant")
 """What particles hold that adds up, besides what the scene declares."""
 
 HEIRS = 128
@@ -74,7 +74,7 @@ class Stored:
 
 
 def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
-    """Remove region k. Liquid on its partitions goes to the regions beyond them, the rest is spilled.
+    """Remove region k. Liquid on its partitions goes to the films beyond them, the rest is spilled.
 
     Args:
         stored: the state, changed in place.
@@ -84,10 +84,11 @@ def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
     if partner_l is not None:
         region = stored.region("l")
         shared = (region == k) & (partner_l >= 0)
-        region[shared] = partner_l[shared]
         if "l.circulation" in stored.arrays:
             stored.arrays["l.circulation"][shared] *= -1.0  # about the normal of the other side
-        stored.spilled += float(stored.arrays["l.mass"][region == k].sum(dtype=np.float64))
+        for other in np.unique(partner_l[shared]):
+            _hand_over(stored, "l", shared & (partner_l == other), region == other)
+        stored.spilled += float(stored.arrays["l.mass"][(region == k) & ~shared].sum(dtype=np.float64))
         stored.select("l", region != k)
     else:
         stored.spilled += float(stored.arrays["e.mass"][stored.region("e") == k].sum(dtype=np.float64))
@@ -136,7 +137,7 @@ def _hand_over(stored: Stored, kind: str, gone: np.ndarray, kept: np.ndarray) ->
             for part in np.array_split(sources, 1 + len(sources) * len(targets) // 2_000_000)
         ]
     )
-    momentum = mass[:, None] * u
+    had, momentum = mass.copy(), mass[:, None] * u
     np.add.at(momentum, nearest, momentum[sources, None] / heirs)
     for name in stored.amounts:
         amount = arrays.get(f"{kind}.{name}")
@@ -145,6 +146,26 @@ def _hand_over(stored: Stored, kind: str, gone: np.ndarray, kept: np.ndarray) ->
         np.add.at(amount, nearest, amount[sources, None] / heirs)
     met = np.unique(nearest)
     u[met] = momentum[met] / mass[met, None]
+    if kind == "l":
+        _stay_as_wide(arrays, sources, nearest, had)
+
+
+def _stay_as_wide(arrays: dict[str, np.ndarray], sources: np.ndarray, nearest: np.ndarray, had: np.ndarray) -> None:
+    """Let L that were given liquid keep their areas: they get thicker, and their vorticity is the mean by mass.
+
+    Args:
+        arrays: of the state, in which they have got it.
+        sources: [n] indices of those that gave.
+        nearest: [n, HEIRS] indices of those that each gave to, in equal shares.
+        had: [n_l] mass of each before, kg.
+    """
+    mass, eta, met = arrays["l.mass"], arrays["l.eta"], np.unique(nearest)
+    circulation = arrays.get("l.circulation")
+    if circulation is not None:  # vorticities over the density
+        brought = np.zeros(len(mass))
+        np.add.at(brought, nearest, (circulation[sources] * eta[sources] / nearest.shape[1])[:, None])
+        circulation[met] = had[met] * (circulation[met] + brought[met] / eta[met]) / mass[met]
+    eta[met] *= mass[met] / had[met]
 
 
 def add_region(

@@ -275,35 +275,48 @@ def evaluate_blocks(
         out[i, c] = g[c]
 
 
-def test_gathered_blocks(device):
-    """`gather_blocks`: sum of W (m + S d, s) over the blocks of a row, of itself, and of the last its region's points.
+def make_blocks(rng, device):
+    """N homes, points in their blocks of none to forty, the last without a home, in random columns of every row.
 
-    Blocks of none to forty points; an entry beyond the blocks and a block out of reach are passed over.
+    An entry beyond the blocks and blocks out of reach are among them.
+
+    Returns:
+        homes [N, 3], the owner of each point, points [n, 3], columns of each row; the block and the rows on the device.
     """
-    rng = np.random.default_rng(4)
     homes = rng.uniform(-0.5, 0.5, (N, 3))
     size = rng.integers(0, 14, N + 1)
     size[[3, N]] = 40, 9
     start = np.concatenate([[0], np.cumsum(size)])
     owner = np.repeat(np.arange(N + 1), size)
-    total = len(owner)
-    x = np.concatenate([homes, [[0.0, 0.0, 0.0]]])[owner] + rng.uniform(-0.2, 0.2, (total, 3))
-    m, s, slope = rng.normal(size=(total, 3)), rng.normal(size=(total, 3)), rng.normal(size=(total, 3, 3))
-    own, of = rng.integers(0, 2, N), np.concatenate([rng.integers(0, 2, total), np.zeros(7, dtype=int)])
+    x = np.concatenate([homes, [[0.0, 0.0, 0.0]]])[owner] + rng.uniform(-0.2, 0.2, (len(owner), 3))
     columns = [rng.permutation(np.delete(np.arange(N + 3), i))[: i % 41] for i in range(N)]
-
-    def array(values, dtype):
-        return wp.array(values.astype(np.int32 if dtype is wp.int32 else np.float32), dtype=dtype, device=device)
-
-    block = kr.Blocks()
     distance = np.linalg.norm(x[: start[N]] - homes[owner[: start[N]]], axis=1)
     reach = np.array([distance[owner[: start[N]] == h].max(initial=0.0) for h in range(N)])
-    block.start, block.reach, block.region = array(start, wp.int32), array(1.001 * reach, float), array(of, wp.int32)
+    block = kr.Blocks()
+    block.start, block.reach = as_array(start, wp.int32, device), as_array(1.001 * reach, float, device)
+    return homes, owner, x, columns, block, make_rows(columns, device)
+
+
+def as_array(values, dtype, device):
+    return wp.array(values.astype(np.int32 if dtype is wp.int32 else np.float32), dtype=dtype, device=device)
+
+
+def test_gathered_blocks(device):
+    """`gather_blocks`: sum of W (m + S d, s) over a row's blocks, its own, and in the last its region's points."""
+    rng = np.random.default_rng(4)
+    homes, owner, x, columns, block, rows = make_blocks(rng, device)
+    total = len(owner)
+    m, s, slope = rng.normal(size=(total, 3)), rng.normal(size=(total, 3)), rng.normal(size=(total, 3, 3))
+    own, of = rng.integers(0, 2, N), np.concatenate([rng.integers(0, 2, total), np.zeros(7, dtype=int)])
+
+    def array(values, dtype):
+        return as_array(values, dtype, device)
+
+    block.region = array(of, wp.int32)
     pack = wp.zeros(144 * -(-total // 8), dtype=float, device=device)
     out = wp.zeros((N, 6), dtype=float, device=device)
     inputs = [array(x, wp.vec3), array(m, wp.vec3), array(s, wp.vec3), array(slope, wp.mat33)]
     launch(pack_points, total, inputs, [pack], device)
-    rows = make_rows(columns, device)
     launch(evaluate_blocks, N, [array(homes, wp.vec3), array(own, wp.int32), pack, block, rows, R], [out], device)
     expected = np.zeros((N, 6))
     for i in range(N):
@@ -312,6 +325,62 @@ def test_gathered_blocks(device):
         w = 9.0 / R**2 * spline(3.0 * np.linalg.norm(d, axis=1) / R)[:, None]
         expected[i, :3] = np.sum(w * (m[among] + np.einsum("kac,kc->ka", slope[among], d)), axis=0)
         expected[i, 3:] = np.sum(w * s[among], axis=0)
+    agree(out.numpy(), expected)
+
+
+@wp.kernel(enable_backward=False)
+def pack_held(
+    x: wp.array(dtype=wp.vec3),
+    held: wp.array(dtype=wp.vec4),
+    u: wp.array(dtype=wp.vec3),
+    pack: wp.array(dtype=float),
+):
+    i = wp.tid()
+    kr.write_held(i, x[i], held[i], u[i], pack)
+
+
+@wp.kernel(enable_backward=False)
+def evaluate_exchange(
+    home: wp.array(dtype=wp.vec3),
+    p: wp.array(dtype=wp.vec3),
+    held: wp.array(dtype=wp.vec4),
+    pack: wp.array(dtype=float),
+    block: kr.Blocks,
+    rows: Neighbors,
+    reach: float,
+    out: wp.array2d(dtype=float),
+):
+    i = rows.first + wp.tid()
+    g = kr.exchange_blocks(i, p[i], held[i], home, pack, block, rows, reach)
+    for c in range(5):
+        out[i, c] = g[c]
+
+
+def test_exchanged_blocks(device):
+    """`exchange_blocks`: what a point near each home gets from those of its row's blocks, by the smaller rate."""
+    rng = np.random.default_rng(5)
+    homes, owner, x, columns, block, rows = make_blocks(rng, device)
+    reach, total = 0.3, len(owner)
+    p = homes + rng.uniform(-0.1, 0.1, (N, 3))
+    mine, others, u = rng.uniform(0.1, 1.0, (N, 4)), rng.uniform(0.1, 1.0, (total, 4)), rng.normal(size=(total, 3))
+
+    def array(values, dtype):
+        return as_array(values, dtype, device)
+
+    pack = wp.zeros(80 * -(-total // 8), dtype=float, device=device)
+    launch(pack_held, total, [array(x, wp.vec3), array(others, wp.vec4), array(u, wp.vec3)], [pack], device)
+    out = wp.zeros((N, 5), dtype=float, device=device)
+    inputs = [array(homes, wp.vec3), array(p, wp.vec3), array(mine, wp.vec4), pack, block, rows, reach]
+    launch(evaluate_exchange, N, inputs, [out], device)
+    expected = np.zeros((N, 5))
+    for i in range(N):
+        among = np.isin(owner, [i, *columns[i]]) & (owner < N)
+        near = np.maximum(1.0 - np.sum((x[among] - p[i]) ** 2, axis=1) / reach**2, 0.0) ** 2
+        (a, rate, q, c), other = mine[i], others[among]
+        shared = np.minimum(rate, other[:, 1]) * near * a * other[:, 0] / (a + other[:, 0])
+        gain = shared * (other[:, 2] - q)
+        expected[i] = gain.sum(), np.sum(shared * (other[:, 3] - c)), *(gain @ u[among])
+    assert np.count_nonzero(expected[:, 0]) > N // 2
     agree(out.numpy(), expected)
 
 

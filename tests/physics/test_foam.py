@@ -264,6 +264,20 @@ def test_same_seed_same_foam():
     assert all(np.array_equal(runs[0][name], runs[1][name]) for name in runs[0])
 
 
+def test_a_pop_leaves_no_grain():
+    """A bubble of 600 nm pops on one of 300 nm, whose film gets the liquid of both sides of the partition, evenly."""
+    bubbles = (Bubble((-R, 0.0, 0.0), R, thickness=600e-9), Bubble((R, 0.0, 0.0), R, thickness=300e-9))
+    simulation = Simulation(cluster_scene(bubbles, 400, events=(Pop(0.1, 0),), l_per_e=8))
+    start = simulation.diagnostics()
+    for _ in range(13):
+        simulation.advance_frame()
+    end, lag = simulation.diagnostics(), simulation.state.l
+    points, normals, eta = (a.numpy().astype(np.float64) for a in (lag.x, lag.normal, lag.eta))
+    assert eta.max() > 500e-9
+    assert grain(points, normals, eta, lag.region.numpy()) < 0.1
+    assert end["mass"] + end["spilled"] == pytest.approx(start["mass"], rel=1e-6)
+
+
 def test_pop_leaves_the_neighbour_with_the_shared_liquid():
     """Region 0 pops: region 1 keeps its label, ids and gas; liquid is conserved with what is spilled."""
     simulation = Simulation(two(400, l_per_e=4, events=(Pop(0.1, 0),)))
