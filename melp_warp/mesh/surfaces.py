@@ -47,7 +47,7 @@ NEAR, HOME = 0.8, 2.0
 EVEN = 0.85
 """Least distance of the L that a mesh is made of, E spacings: as many as there are E fit with that."""
 
-_FIELDS = [field.name for field in fields(ParticleFrame) if field.name != "origin"]
+_FIELDS = [field.name for field in fields(ParticleFrame) if field.name not in ("origin", "carried")]
 
 CURVE_POINTS = 17
 """Points of the rim from one rim point to the next."""
