@@ -50,7 +50,7 @@ def seek_normals_e(
     Motion along the normal leaves out what of a force lies in the sheet, F_t. Nothing does where the sheet is smooth;
     at a line, where the tension jumps, it is what holds the angle. The normals n_j around, with weights w_j, take it up
     as w_j n_j.l, where (sum w n n^T) l = F_t. The normals turn by mu, the mean square along a principal axis; l is
-    damped by mu^4/(mu^4 + bent^4), or noise on smooth films would be blown up. It follows with a delay: the normals
+    damped by mu^8/(mu^8 + bent^8), or noise on smooth films would be blown up. It follows with a delay: the normals
     themselves answer to it.
 
     Args:
@@ -90,7 +90,9 @@ def seek_normals_e(
     for k in range(3):
         axis = wp.vec3(axes[0, k], axes[1, k], axes[2, k])
         s = wp.max(turn[k], 0.0) / least
-        found += (s * s * s / (1.0 + s * s * s * s) / least * wp.dot(axis, along)) * axis
+        cube = s * s * s
+        eighth = cube * cube * s * s
+        found += (cube * cube * s / (1.0 + eighth) / least * wp.dot(axis, along)) * axis
     sought[i] = sought[i] + share[0] * (found / total - sought[i])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from melp_warp.measure.fits import Sphere, fit_sphere, meet
 from melp_warp.measure.patches import FARTHEST, OUTSIDE, Cloud, Patches
 
-CUTS = (FARTHEST, 2.0, 1.5, 1.0)
+CUTS = (FARTHEST, 3.0, 2.5, 2.0, 1.5, 1.0)
 """Particles nearer than this to one on another film are left out of a fit, spacings: the first that leaves `ENOUGH`.
 
 Those next to a line count as on another film, so that the fit keeps about one spacing more from the line itself.

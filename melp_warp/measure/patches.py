@@ -26,7 +26,7 @@ _ASIDE = 1.0
 """Largest distance across the normal in both tests, spacings."""
 _CORNER = 2.0
 """Films this near to a particle meet there, spacings."""
-FARTHEST = 2.5
+FARTHEST = 3.5
 """Distances to the next film are known up to this, spacings."""
 
 

@@ -41,7 +41,7 @@ CONTACT_ROOM = 70
 PARTNER_REACH = 1.2
 """Distance within which an E facing another shares its film, in spacings."""
 
-BENT, CAP = 0.01, 2.5
+BENT, CAP = 0.012, 3.0
 """Least mean square turn of normals within the support that counts as a bend, and in those of the region's sphere."""
 
 LEAST_REACH, REACH_SHARE = 2.25, 0.43
