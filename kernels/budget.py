@@ -54,7 +54,8 @@ SOLUTE = wp.constant(32)
 FALLING = wp.constant(33)
 WIDENED = wp.constant(34)
 CLOSING = wp.constant(35)
-SLOTS = wp.constant(36)
+STARS = wp.constant(36)
+SLOTS = wp.constant(37)
 
 
 @wp.func
@@ -83,6 +84,8 @@ def open_step_chunks(
     mass: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
     area: wp.array(dtype=float),
+    share: wp.array(dtype=float),
+    ended: wp.array(dtype=float),
     kappa: wp.array(dtype=float),
     gamma: wp.array(dtype=float),
     claim: wp.array(dtype=float),
@@ -107,12 +110,14 @@ def open_step_chunks(
 ):
     """What is stored at the start of a step.
 
-    The areas are those before the offset d that ended the last one: it changed them by -kappa a d.
+    Control areas are those before the offset d that ended the last one: it changed them by -kappa a d.
 
     Args:
         mass: [n_e] kg.
         surfactant: [n_e] mol on one interface.
         area: [n_e] m^2.
+        share: [n_e] area of the stars before the offset, m^2; null for a film without.
+        ended: [n_e] that after it, by which the surface is stored: tension is its gradient. Null likewise.
         kappa: [n_e] sum of the principal curvatures, 1/m.
         gamma: [n_e] Gamma/Gamma_0.
         claim: [n_e] area that L take up at their thickness, m^2; null without L, where surfactant is that of E.
@@ -142,6 +147,7 @@ def open_step_chunks(
     surface = wp.float64(0.0)
     air = wp.float64(0.0)
     bent = wp.float64(0.0)
+    closed_in = wp.float64(0.0)
     size = wp.float64(0.0)
     solved = wp.float64(0.0)
     solute = wp.float64(0.0)
@@ -154,12 +160,15 @@ def open_step_chunks(
         liquid += kinetic(mass[i], v)
         if taken > 0.0:
             air += kinetic(taken * area[i], wp.dot(v, normal[i]) * normal[i])
+        size += wp.float64(area[i])
         if asked[0] == 1:
             a = wp.float64(area[i])
             sides = float(2.0)
             if cover:
                 sides = 2.0 - cover[i]
             free = wp.float64(tension[g]) * a
+            if ended:
+                free = wp.float64(tension[g]) * wp.float64(ended[i])
             sigma = tension[g]
             if slope > 0.0:
                 sigma = sigma - slope * gamma[i]
@@ -173,7 +182,6 @@ def open_step_chunks(
                     solved += wp.float64(sides) * entropy
             surface += wp.float64(sides) * free
             bent += wp.float64(sides * sigma * kappa[i]) * a
-            size += a
     part[c, STARTED] = liquid + air
     whole = wp.float64(wp.length_sq(motion[g])) * wp.float64(0.5)
     if kept == 1:
@@ -191,9 +199,13 @@ def open_step_chunks(
     part[c, GAS] = wp.float64(0.0)
     if closed == 1:
         d = gas[g, OFFSET]
-        if cover:
-            part[c, CLOSING] = d * (bent + gas[g, GAUGE] * size)
-        part[c, SURFACE] = surface - d * bent
+        if ended:
+            for i in range(start, stop):
+                less = wp.float64(share[i]) - wp.float64(ended[i])
+                closed_in += wp.float64((2.0 - cover[i]) * tension[g]) * less
+            part[c, CLOSING] = closed_in + d * gas[g, GAUGE] * size
+        else:
+            part[c, SURFACE] = surface - d * bent
         if begins_region(c, parts, first.shape[0] - 1):
             part[c, GAS] = p_atm * gas[g, VOLUME] - gas[g, AMOUNT] * wp.log(gas[g, VOLUME])
 
@@ -795,6 +807,7 @@ def lose_tension_e(
 @wp.kernel
 def lose_contact_e(
     area: wp.array(dtype=float),
+    share: wp.array(dtype=float),
     mass: wp.array(dtype=float),
     gamma: wp.array(dtype=float),
     cover: wp.array(dtype=float),
@@ -822,6 +835,7 @@ def lose_contact_e(
 
     Args:
         area: [n_e] m^2.
+        share: [n_e] that by which tension is stored, m^2.
         mass: [n_e] kg.
         gamma: [n_e] relative surfactant concentration.
         cover: [n_e] share of a sheet that is one film with another, in this step.
@@ -850,7 +864,7 @@ def lose_contact_e(
     answer = -(diag[i] - inertia) * change[i]
     for k in range(rows.start[i] + star.stop[i] - star.start[i], rows.stop[i]):
         answer -= pair[k] * (change[i] - change[rows.index[k]])
-    saved = (tension[g] - slope * gamma[i]) * area[i] * (cover[i] - before[i])
+    saved = (tension[g] - slope * gamma[i]) * share[i] * (cover[i] - before[i])
     hold[i] = force[i] - pull[i] + foot[i]
     loss[i] = saved - answer * u_mid[i]
 
@@ -874,6 +888,19 @@ def star_size(i: int, x: wp.array(dtype=wp.vec3), star: Neighbors):
 
 
 @wp.kernel
+def measure_stars_e(
+    x: wp.array(dtype=wp.vec3),
+    star: Neighbors,
+    # outputs
+    size: wp.array(dtype=float),
+):
+    """A third of the area of each E's star. [n_e], m^2."""
+    i = star.first + wp.tid()
+    third, _vector = star_size(i, x, star)
+    size[i] = third
+
+
+@wp.kernel
 def lose_move_e(
     x: wp.array(dtype=wp.vec3),
     shifted: wp.array(dtype=wp.vec3),
@@ -888,6 +915,7 @@ def lose_move_e(
     evened: wp.array(dtype=float),
     loss: wp.array(dtype=float),
     swept: wp.array(dtype=float),
+    left: wp.array(dtype=float),
 ):
     """What stars have less of their energy as E are evened out and as they move, and the volume that they sweep. [n_e].
 
@@ -904,6 +932,7 @@ def lose_move_e(
         evened: [n_e] J.
         loss: [n_e] J.
         swept: [n_e] m^3.
+        left: [n_e] third of the area of the star at the end, m^2.
     """
     i = star.first + wp.tid()
     c = (tension[region[i]] - slope * gamma[i]) * (2.0 - cover[i])
@@ -912,7 +941,44 @@ def lose_move_e(
     last, beyond = star_size(i, moved, star)
     evened[i] = c * (size - then)
     loss[i] = c * (then - last)
+    left[i] = last
     swept[i] = 0.5 * wp.dot(out + beyond, moved[i] - shifted[i])
+
+
+@wp.kernel
+def book_stars_chunks(
+    left: wp.array(dtype=float),
+    share: wp.array(dtype=float),
+    cover: wp.array(dtype=float),
+    tension: wp.array(dtype=float),
+    gas: wp.array2d(dtype=wp.float64),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    part: wp.array2d(dtype=wp.float64),
+):
+    """What the energy of a foam has less once its surface is found anew, with E where they are. Added to slot STARS.
+
+    Its area is that of other stars, and its volume another one than what the old stars swept.
+
+    Args:
+        left: [n_e] third of the area of the star that the step went with, m^2.
+        share: [n_e] that of the one found since, m^2.
+        cover: [n_e] share of a sheet that is one film with another.
+        tension: [regions] sigma_0, N/m: surfactant stays as it is.
+        gas: gas slots, with the volume found anew.
+        first: see `part_range`.
+        part: parts.
+    """
+    c = wp.tid()
+    parts = part.shape[0]
+    g = part_region(c, first, parts)
+    start, stop = part_range(c, first, parts)
+    total = wp.float64(0.0)
+    if begins_region(c, parts, first.shape[0] - 1):
+        total = gas[g, GAUGE] * gas[g, VOLUME]
+    for i in range(start, stop):
+        total += wp.float64(tension[g] * (2.0 - cover[i])) * (wp.float64(left[i]) - wp.float64(share[i]))
+    part[c, STARS] = part[c, STARS] + total
 
 
 @wp.kernel
@@ -931,7 +997,8 @@ def book_moves_chunks(
 ):
     """What the forces of a foam would do on the way of its E, added to STRETCH, CONTACT, LINES and SHIFTS.
 
-    What of that does not arrive along normals is passed on along lines.
+    What of that does not arrive along normals is passed on along lines. STARS begins with the gas at the volume that its
+    stars sweep.
 
     Args:
         shifted: [n] E once they are evened out, m.
@@ -953,18 +1020,24 @@ def book_moves_chunks(
     held = wp.float64(0.0)
     whole = wp.float64(0.0)
     strained = wp.float64(0.0)
+    filled = wp.float64(0.0)
+    if begins_region(c, parts, first.shape[0] - 1):
+        filled = gas[g, GAUGE] * gas[g, VOLUME]
     for i in range(start, stop):
         way = moved[i] - shifted[i]
         pulled = wp.float64(wp.dot(pull[i], way))
         pressed = wp.float64(wp.dot(hold[i], way))
         stretched += wp.float64(loss[i]) - pulled
         held -= pressed
-        whole += pulled + pressed + wp.float64(swept[i]) * gas[g, GAUGE]
+        filling = wp.float64(swept[i]) * gas[g, GAUGE]
+        whole += pulled + pressed + filling
+        filled += filling
         strained += wp.float64(evened[i])
     part[c, STRETCH] = part[c, STRETCH] + stretched
     part[c, CONTACT] = part[c, CONTACT] + held
     part[c, LINES] = part[c, LINES] + whole
     part[c, SHIFTS] = part[c, SHIFTS] + strained
+    part[c, STARS] = -filled
 
 
 @wp.kernel
@@ -973,8 +1046,7 @@ def book_foam_chunks(
     area: wp.array(dtype=float),
     normal: wp.array(dtype=wp.vec3),
     vector: wp.array(dtype=wp.vec3),
-    ahead: wp.array(dtype=float),
-    gas: wp.array2d(dtype=wp.float64),
+    moments: wp.array(dtype=wp.vec4),
     u_mid: wp.array(dtype=float),
     load: wp.array(dtype=float),
     missing: wp.array(dtype=wp.vec3),
@@ -994,8 +1066,7 @@ def book_foam_chunks(
         area: [n_e] m^2.
         normal: [n] unit normals.
         vector: [n_e] gradient of the volume, m^2.
-        ahead: [regions] predicted gauge pressure, Pa.
-        gas: gas slots: the pressure is that of the end.
+        moments: [regions] what the gas answered in the solve, -Pa, and what does not matter here.
         u_mid: [n_e] normal speed that moves E, m/s.
         load: [n_e] from `lines.gather_load_e`, N.
         missing: [regions] m/s^2.
@@ -1015,13 +1086,12 @@ def book_foam_chunks(
     pressed = wp.float64(0.0)
     passed = wp.float64(0.0)
     paid = wp.float64(0.0)
-    gauge = float(gas[g, GAUGE])
     for i in range(start, stop):
         n = normal[i]
         m = mass[i] + added[g] * area[i]
         stretched += wp.float64(tension[i])
         pressed += wp.float64(contact[i])
-        gain = load[i] + m * wp.dot(missing[g], n) + (gauge - ahead[g]) * wp.dot(vector[i], n)
+        gain = load[i] + m * wp.dot(missing[g], n) - moments[g][0] * wp.dot(vector[i], n)
         passed -= wp.float64(dt[0] * gain * u_mid[i])
         paid -= wp.float64(m * wp.dot(recoil[g], n) * u_mid[i])
     part[c, STRETCH] = stretched

@@ -74,6 +74,7 @@ TERMS = (
     Term("damping", DISSIPATION, "normal motion that the air takes up", ((kb.DAMPING, 1),)),
     Term("membrane", LOSS, "scheme of the normal motion", ((kb.MEMBRANE, 1), (kb.BENDING, 1), (kb.PRESSING, 1))),
     Term("stretch", LOSS, "tension of foams, that of a little later", ((kb.STRETCH, 1),)),
+    Term("stars", LOSS, "neighbours in foams that are found anew", ((kb.STARS, 1),)),
     Term("contact", LOSS, "sheets that are stopped where they meet", ((kb.CONTACT, 1),)),
     Term("closing", LOSS, "offsets of foams that close their volumes", ((kb.CLOSING, 1),)),
     Term("lines", LOSS, "force passed on along lines", ((kb.LINES, 1),)),
@@ -151,8 +152,8 @@ class Budget:
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
         self._falls = f.lagrangian and not f.moving and any(film.surroundings.height)
-        self._stretched, self._touched, self._swept, self._cover = (
-            (film.zeros(film.n_e) for _ in range(4)) if f.foam else 4 * (None,)
+        self._stretched, self._touched, self._swept, self._left, self._ended, self._cover = (
+            (film.zeros(film.n_e) for _ in range(6)) if f.foam else 6 * (None,)
         )
         self._pull, self._hold = (film.zeros(film.n_e, wp.vec3) for _ in range(2)) if f.foam else 2 * (None,)
         self._rim = stepper.rim if f.collects else None
@@ -166,10 +167,12 @@ class Budget:
         if film.features.foam:
             cover = s.membrane.cover
             copy(self._cover, cover)
+            film.launch_e(kb.measure_stars_e, [e.x, s.geometry.star], [self._ended])
         film.launch_parts(
             kb.open_step_chunks,
             [
-                *(e.mass, e.surfactant, s.geometry.area, s.geometry.kappa, s.fields.gamma),
+                *(e.mass, e.surfactant, s.geometry.area, s.geometry.share, self._ended, s.geometry.kappa),
+                s.fields.gamma,
                 s.transfer.claim if s.transfer else None,
                 *(cover, self.state.motion, e.u, e.normal),
                 *(film.tension, film.slope, film.material.rt, self._air(), self.state.gas, film.surroundings.pressure),
@@ -255,7 +258,7 @@ class Budget:
         film.launch_e(
             kb.lose_contact_e,
             [
-                *(g.area, e.mass, s.fields.gamma, m.cover, self._cover, e.region, m.added),
+                *(g.area, self._ended, e.mass, s.fields.gamma, m.cover, self._cover, e.region, m.added),
                 *(film.surroundings.damping, film.tension, film.slope, m.force, self._pull, m.foot),
                 *(m.u_mid, change, g.star, matrix.diag, matrix.rows, matrix.pair, dt),
             ],
@@ -264,7 +267,7 @@ class Budget:
         film.launch_parts(
             kb.book_foam_chunks,
             [
-                *(e.mass, g.area, e.normal, g.vector, m.ahead, self.state.gas, m.u_mid, m.load, m.missing, m.added),
+                *(e.mass, g.area, e.normal, g.vector, m.response.moments, m.u_mid, m.load, m.missing, m.added),
                 *(m.recoil, self._stretched, self._touched, film.first, dt),
             ],
             [self.part],
@@ -317,6 +320,12 @@ class Budget:
         if film.features.foam:
             self._book_moves()
 
+    def book_stars(self) -> None:
+        """Book what the energy of a foam has less once its stars are found anew."""
+        film, s = self.film, self._stages
+        surface = [self._left, s.geometry.share, s.membrane.cover, film.tension, self.state.gas]
+        film.launch_parts(kb.book_stars_chunks, [*surface, film.first], [self.part])
+
     def _book_moves(self) -> None:
         """Book what the forces of a foam would do on the way of its E."""
         film, e, advance = self.film, self.state.e, self._stages.e_advance
@@ -324,7 +333,7 @@ class Budget:
         film.launch_e(
             kb.lose_move_e,
             [advance.x_old, shifted, e.x, *self._tensed()],
-            [self._stretched, self._touched, self._swept],
+            [self._stretched, self._touched, self._swept, self._left],
         )
         film.launch_parts(
             kb.book_moves_chunks,

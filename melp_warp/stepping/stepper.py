@@ -281,6 +281,8 @@ class Stepper:
         self.lists.note_late(0)
         self.geometry.update()  # (9), (10), (11)
         if self.film.features.foam:
+            if self.budget is not None:
+                self.budget.book_stars()
             self.membrane.close_volume()
         elif self.film.features.closed:
             self.membrane.after_move()

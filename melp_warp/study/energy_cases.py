@@ -71,13 +71,13 @@ CASES = (
     EnergyCase("deforming_rectangle_2m", 48, {"e_count": 900, "l_per_e": 4}),
     EnergyCase("leapfrog", 48, {"e_count": 900, "l_per_e": 8}, 0.01),
     EnergyCase("turbulent_film", 48, {"e_count": 900, "l_per_e": 8}, 0.01),
-    EnergyCase("double_bubble", 60, {"e_count": 400, "l_per_e": 4}),
-    EnergyCase("size_ratio", 60, {"e_count": 450, "l_per_e": 4}),
-    EnergyCase("triple_bubble", 60, {"e_count": 600, "l_per_e": 4}),
-    EnergyCase("quadruple_bubble", 60, {"e_count": 800, "l_per_e": 4}),
-    EnergyCase("four_bubbles", 120, {"e_count": 800, "l_per_e": 4}),
-    EnergyCase("cluster", 30, {"e_count": 2200, "l_per_e": 2}),
-    EnergyCase("foam_mountain", 30, {"e_count": 1000}),
+    EnergyCase("double_bubble", 60, {"e_count": 400, "l_per_e": 4}, 0.01),
+    EnergyCase("size_ratio", 60, {"e_count": 450, "l_per_e": 4}, 0.01),
+    EnergyCase("triple_bubble", 60, {"e_count": 600, "l_per_e": 4}, 0.01),
+    EnergyCase("quadruple_bubble", 60, {"e_count": 800, "l_per_e": 4}, 0.01),
+    EnergyCase("four_bubbles", 120, {"e_count": 800, "l_per_e": 4}, 0.02),
+    EnergyCase("cluster", 30, {"e_count": 2200, "l_per_e": 2}, 0.01),
+    EnergyCase("foam_mountain", 30, {"e_count": 1000}, 0.02),
 )
 """Every scene; single films besides with what is not their default."""
 

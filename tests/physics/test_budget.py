@@ -296,7 +296,19 @@ def test_bubbles_that_come_to_share_films_add_up():
     ledger = simulation.ledger
     gone = ledger.start["surface"] - ledger.stores["surface"]
     assert gone > 0.9 * ledger.moved and ledger.flows["contact"] > 0.5 * ledger.moved
-    assert ledger.share < 0.05
+    assert ledger.share < 0.005
+
+
+@pytest.mark.parametrize("scene, count", [("double_bubble", 400), ("triple_bubble", 600)])
+def test_stars_that_are_found_anew_are_booked(scene, count):
+    """What area and volume of a foam become with other neighbours is energy, by name: the rest was 17 and 19 %."""
+    script = load_scene(scene)
+    simulation = Simulation(script.build(script.parameters.values({"e_count": count, "l_per_e": 4})))
+    for _ in range(30):
+        simulation.advance_frame()
+    ledger = simulation.ledger
+    assert abs(ledger.flows["stars"]) > 0.01 * ledger.moved
+    assert ledger.share < 0.005
 
 
 def test_every_scene_has_a_case():
