@@ -997,8 +997,8 @@ def book_moves_chunks(
 ):
     """What the forces of a foam would do on the way of its E, added to STRETCH, CONTACT, LINES and SHIFTS.
 
-    What of that does not arrive along normals is passed on along lines. STARS begins with minus the work of the gas on the
-    volume that stars sweep, from the one before.
+    What of that does not arrive along normals is passed on along lines. STARS begins with minus the work of the gas
+    on the volume that stars sweep, from the one before.
 
     Args:
         shifted: [n] E once they are evened out, m.
