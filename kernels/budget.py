@@ -55,7 +55,8 @@ FALLING = wp.constant(33)
 WIDENED = wp.constant(34)
 CLOSING = wp.constant(35)
 STARS = wp.constant(36)
-SLOTS = wp.constant(37)
+MIXED = wp.constant(37)
+SLOTS = wp.constant(38)
 
 
 @wp.func
@@ -77,6 +78,23 @@ def carried_air(gas: wp.array2d(dtype=wp.float64), g: int, density: float, added
     if density == 0.0:
         return 0.0
     return 1.5 * density * float(gas[g, VOLUME]) - added[g] * float(gas[g, AREA]) / 3.0
+
+
+@wp.func
+def free_surfactant(
+    i: int,
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
+    packed: float,
+    rt: float,
+) -> wp.float64:
+    """Free energy of the surfactant of a particle on both interfaces, at its own thickness, J; 0 without."""
+    free = wp.float64(0.0)
+    c = surfactant[i]
+    if eta and c > 0.0:
+        free = wp.float64(2.0 * rt * c) * (wp.log(wp.float64(c * packed * eta[i] / mass[i])) - wp.float64(1.0))
+    return free
 
 
 @wp.kernel
@@ -588,6 +606,57 @@ def fall_chunks(
         path = bent_path(v[i], normal[i], affine[i], bend[0], h)
         total += wp.float64(mass[i] * h * wp.dot(gravity, path))
     part[c, FALLING] = part[c, FALLING] + total
+
+
+@wp.kernel
+def weigh_held_chunks(
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    x: wp.array(dtype=wp.vec3),
+    eta: wp.array(dtype=float),
+    height: wp.vec3,
+    packed: float,
+    rt: float,
+    n: int,
+    after: int,
+    # outputs
+    mixed: wp.array(dtype=wp.float64),
+):
+    """Parts of what L have less of height and of their surfactant's free energy once they have mixed, J.
+
+    Args:
+        mass: [n] kg.
+        surfactant: [n] mol on one interface.
+        x: [n] m.
+        eta: [n] thickness, m; null where none has surfactant.
+        height: gravity that is stored as height, m/s^2.
+        packed: rho/Gamma_0, kg/(mol m).
+        rt: R T, J/mol.
+        n: number of L.
+        after: 1 once they have mixed, 0 before.
+        mixed: parts, J.
+    """
+    c = wp.tid()
+    size = (n + mixed.shape[0] - 1) // mixed.shape[0]
+    total = wp.float64(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        total += free_surfactant(i, mass, surfactant, eta, packed, rt)
+        total -= wp.float64(mass[i]) * wp.float64(wp.dot(height, x[i]))
+    if after == 1:
+        total = mixed[c] - total
+    mixed[c] = total
+
+
+@wp.kernel
+def book_mixed_chunks(
+    # outputs
+    mixed: wp.array(dtype=wp.float64),
+    part: wp.array2d(dtype=wp.float64),
+):
+    """Book what mixing before this step took, and forget it. Slot MIXED."""
+    c = wp.tid()
+    part[c, MIXED] = mixed[c]
+    mixed[c] = wp.float64(0.0)
 
 
 @wp.kernel
@@ -1217,10 +1286,8 @@ def lie_chunks(
     for i in range(t * size, wp.min(n, (t + 1) * size)):
         m = wp.float64(mass[i])
         liquid += m
-        c = surfactant[i]
-        amount += wp.float64(c)
-        if eta and c > 0.0:
-            free += wp.float64(2.0 * rt * c) * (wp.log(wp.float64(c * packed * eta[i] / mass[i])) - wp.float64(1.0))
+        amount += wp.float64(surfactant[i])
+        free += free_surfactant(i, mass, surfactant, eta, packed, rt)
         place += m * wp.vec3d(x[i])
         momentum += m * wp.vec3d(u[i])
     part[t, 0] = liquid

@@ -81,6 +81,7 @@ TERMS = (
     Term("debt", LOSS, "momentum of foams given back", ((kb.DEBT, 1),)),
     Term("flow", LOSS, "scheme of the flow along the film", ((kb.FLOW, 1), (kb.SPREADING, 1))),
     Term("mending", LOSS, "thickness of L kept in step with that of E", ((kb.MENDING, 1),)),
+    Term("mixing", LOSS, "layers of liquid that mix", ((kb.MIXED, 1),)),
     Term("splitting", LOSS, "viscosity solved apart from the flow", ((kb.SPLITTING, 1),)),
     Term("hold", LOSS, "momentum of the film as a whole held", ((kb.HOLD, 1),)),
     Term("rim", LOSS, "what the rim takes: motion, and liquid with its height"),
@@ -156,6 +157,7 @@ class Budget:
             (film.zeros(film.n_e) for _ in range(6)) if f.foam else 6 * (None,)
         )
         self._pull, self._hold = (film.zeros(film.n_e, wp.vec3) for _ in range(2)) if f.foam else 2 * (None,)
+        self._mixed = film.parts(wp.float64) if f.mixes else None
         self._rim = stepper.rim if f.collects else None
         if self._rim is not None:
             self._taken, self._border = film.parts(vec7d), wp.clone(state.border)
@@ -220,10 +222,20 @@ class Budget:
             lag = self.state.l
             inputs = [lag.mass, lag.v, lag.normal, lag.affine, film.height, flow.bend, s.dt.array, film.n_l]
             film.launch_parts(kb.fall_chunks, inputs, [self.part])
+        if self._mixed is not None:
+            film.launch_parts(kb.book_mixed_chunks, [], [self._mixed, self.part])
         if f.foam:
             self._book_foam()
         if f.dragged:
             film.launch_regions(kb.book_whole_r, [membrane.drag.force, *self._path(), s.dt.array], [self.part])
+
+    def weigh_mixing(self, after: bool) -> None:
+        """Book what mixing between steps does to what is stored in L: before it, and `after`."""
+        film, lag = self.film, self.state.l
+        held = [lag.mass, lag.surfactant, lag.x]
+        thickness, *scales = self._thin()
+        inputs = [*held, thickness, film.surroundings.height, *scales, film.n_l, int(after)]
+        film.launch_parts(kb.weigh_held_chunks, inputs, [self._mixed])
 
     def _thin(self) -> list:
         """Thickness of L and rho/Gamma_0, which give what surfactant they have on an area, and R T."""

@@ -202,7 +202,15 @@ class Stepper:
         if self.exchange is not None and self.exchange.due:
             self.exchange.apply(self.dt.array)  # (27), (28)
         if self.mixing is not None and self.mixing.due:
-            self.mixing.apply()
+            self._mix()
+
+    def _mix(self) -> None:
+        budget = self.budget
+        if budget is not None:
+            budget.weigh_mixing(after=False)
+        self.mixing.apply()
+        if budget is not None:
+            budget.weigh_mixing(after=True)
 
     def _gather(self) -> None:
         self.lists.note_late(1)
