@@ -224,7 +224,7 @@ def open_step_chunks(
             part[c, CLOSING] = closed_in + d * gas[g, GAUGE] * size
         else:
             part[c, SURFACE] = surface - d * bent
-        if begins_region(c, parts, first.shape[0] - 1):
+        if begins_region(c, parts, first.shape[0] - 1) and gas[g, AMOUNT] > wp.float64(0.0):
             part[c, GAS] = p_atm * gas[g, VOLUME] - gas[g, AMOUNT] * wp.log(gas[g, VOLUME])
 
 

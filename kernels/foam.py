@@ -3,7 +3,7 @@
 import warp as wp
 
 from melp_warp.kernels.contact import Contact
-from melp_warp.kernels.gas import GAUGE, INCREMENT, VOLUME
+from melp_warp.kernels.gas import AMOUNT, GAUGE, INCREMENT, VOLUME
 from melp_warp.kernels.native import sum_vectors, weigh_row
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_total
@@ -92,6 +92,14 @@ def swept_volume_chunks(
     part[c] = total
 
 
+@wp.func
+def gas_slope(p_atm: wp.float64, g: int, gas: wp.array2d(dtype=wp.float64)) -> wp.float64:
+    """Rise of a region's pressure by volume lost, p/V, Pa/m^3; 0 where it is open and holds no amount."""
+    if gas[g, AMOUNT] == wp.float64(0.0):
+        return wp.float64(0.0)
+    return (p_atm + gas[g, GAUGE]) / gas[g, VOLUME]
+
+
 @wp.kernel
 def predict_gas_r(
     part: wp.array(dtype=wp.float64),
@@ -114,7 +122,7 @@ def predict_gas_r(
     """
     g = wp.tid()
     swept = region_total(part, g, gas.shape[0])
-    slope = (p_atm + gas[g, GAUGE]) / gas[g, VOLUME]
+    slope = gas_slope(p_atm, g, gas)
     stiff[g] = float(slope)
     ahead[g] = float(gas[g, GAUGE] - slope * wp.float64(dt[0]) * swept)
 
@@ -130,7 +138,7 @@ def store_gas_r(
     """Pressure at the end of the step, from the volume that its velocity sweeps."""
     g = wp.tid()
     swept = region_total(part, g, gas.shape[0])
-    q = -(p_atm + gas[g, GAUGE]) / gas[g, VOLUME] * wp.float64(dt[0]) * swept
+    q = -gas_slope(p_atm, g, gas) * wp.float64(dt[0]) * swept
     gas[g, INCREMENT] = q
     gas[g, GAUGE] = gas[g, GAUGE] + q
 

@@ -24,12 +24,16 @@ class Chain:
         after: [n_f] index of the next point, -1 for none.
         before: [n_f] index of the one before, -1 for none.
         conormal: [n_f] unit vectors in the film, away from the hole.
+        region: [n_f] index of the region whose film the rim runs over.
+        other: [n_f] where that film is a partition, the region on its other side; -1 for a film that is free.
     """
 
     x: wp.array(dtype=wp.vec3)
     after: wp.array(dtype=wp.int32)
     before: wp.array(dtype=wp.int32)
     conormal: wp.array(dtype=wp.vec3)
+    region: wp.array(dtype=wp.int32)
+    other: wp.array(dtype=wp.int32)
 
 
 @wp.func
@@ -45,8 +49,10 @@ def chord(rim: Chain, k: int) -> wp.vec3:
 
 
 @wp.func
-def nearest_on_rim(rim: Chain, x: wp.vec3) -> wp.vec4:
-    """Segment nearest to x, as (index of its first point, place along it from 0 to 1, signed distance, distance).
+def nearest_on_rim(rim: Chain, x: wp.vec3, region: int) -> wp.vec4:
+    """Segment nearest to x of the rims that run over a region's film.
+
+    As (index of its first point, place along it from 0 to 1, signed distance, distance).
 
     The signed one is along the conormal: above 0 on the film, below 0 behind the rim.
     """
@@ -55,7 +61,7 @@ def nearest_on_rim(rim: Chain, x: wp.vec3) -> wp.vec4:
     place = float(0.0)
     for k in range(rim.x.shape[0]):
         b = rim.after[k]
-        if b >= 0:
+        if b >= 0 and (rim.region[k] == region or rim.other[k] == region):
             start = rim.x[k]
             d = rim.x[b] - start
             t = wp.clamp(wp.dot(x - start, d) / wp.max(wp.dot(d, d), 1.0e-30), 0.0, 1.0)
@@ -87,6 +93,7 @@ def find_conormals_f(
 @wp.kernel
 def find_edge_e(
     x: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     rim: Chain,
     reach: float,
     way: float,
@@ -98,6 +105,7 @@ def find_edge_e(
 
     Args:
         x: [n] m.
+        region: [n] index of each E's region.
         rim: the rims.
         reach: distance within which E matter, m.
         way: how far rim and E may have come closer since the last time, m.
@@ -109,7 +117,7 @@ def find_edge_e(
     if gap > reach:
         edge[i] = wp.vec4(-1.0, 0.0, 0.0, gap)
         return
-    found = nearest_on_rim(rim, x[i])
+    found = nearest_on_rim(rim, x[i], region[i])
     edge[i] = found
     if found[3] <= reach:
         behind[i] = wp.where(found[2] < 0.0, 1, 0)
@@ -124,6 +132,7 @@ def see_film_f(
     x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
     gamma: wp.array(dtype=float),
     eta: wp.array(dtype=float),
     rim: Chain,
@@ -139,6 +148,7 @@ def see_film_f(
         x: [n] m.
         normal: [n] unit normals.
         u: [n] m/s.
+        region: [n] index of each E's region.
         gamma: [n_e] relative surfactant concentration.
         eta: [n_e] thickness, m.
         rim: the rims.
@@ -151,6 +161,9 @@ def see_film_f(
         return
     t = edge[i][1]
     weight = 1.0 - edge[i][3] / reach
+    n = normal[i]
+    if region[i] != rim.region[k]:
+        n = -n
     for side in range(2):
         point = k
         w = weight * (1.0 - t)
@@ -158,17 +171,18 @@ def see_film_f(
             point = rim.after[k]
             w = weight * t
         for c in range(3):
-            wp.atomic_add(seen, point, c, w * normal[i][c])
+            wp.atomic_add(seen, point, c, w * n[c])
             wp.atomic_add(seen, point, 3 + c, w * u[i][c])
         wp.atomic_add(seen, point, 6, w * gamma[i])
         wp.atomic_add(seen, point, 7, w * eta[i])
         wp.atomic_add(seen, point, 8, w)
-        wp.atomic_add(seen, point, 9, w * wp.dot(x[i] - rim.x[point], normal[i]))
+        wp.atomic_add(seen, point, 9, w * wp.dot(x[i] - rim.x[point], n))
 
 
 @wp.kernel
 def take_film_f(
     seen: wp.array2d(dtype=float),
+    other: wp.array(dtype=wp.int32),
     # outputs
     normal: wp.array(dtype=wp.vec3),
     flow: wp.array(dtype=wp.vec3),
@@ -179,6 +193,7 @@ def take_film_f(
 
     Args:
         seen: [n_f, 10] see `see_film_f`.
+        other: [n_f] see `Chain`: a partition is as thick as its two sheets.
         normal: [n_f] unit normals.
         flow: [n_f] velocity of the film, m/s.
         film: [n_f] relative surfactant concentration and thickness (m).
@@ -191,6 +206,8 @@ def take_film_f(
     normal[k] = wp.normalize(wp.vec3(seen[k, 0], seen[k, 1], seen[k, 2]))
     flow[k] = wp.vec3(seen[k, 3], seen[k, 4], seen[k, 5]) / w
     film[k] = wp.vec2(seen[k, 6], seen[k, 7]) / w
+    if other[k] >= 0:
+        film[k] = wp.vec2(film[k][0], 2.0 * film[k][1])
     x[k] = x[k] + seen[k, 9] / w * normal[k]
 
 
@@ -230,7 +247,7 @@ def pull_rim_f(
     flow: wp.array(dtype=wp.vec3),
     film: wp.array(dtype=wp.vec2),
     mass: wp.array(dtype=wp.float64),
-    tension: float,
+    tension: wp.array(dtype=float),
     slope: float,
     density: float,
     gravity: wp.vec3,
@@ -254,7 +271,7 @@ def pull_rim_f(
         flow: [n_f] velocity of the film ahead, m/s.
         film: [n_f] relative surfactant concentration and thickness (m) of the film ahead.
         mass: [n_f] what the points hold, kg.
-        tension: sigma_0, N/m.
+        tension: [regions] sigma_0, N/m.
         slope: R T Gamma_0, N/m.
         density: kg/m^3.
         gravity: m/s^2.
@@ -268,7 +285,10 @@ def pull_rim_f(
     n = normal[k]
     along = wp.cross(chord(rim, k), n)
     width = wp.length(along)
-    sigma = wp.max(tension - slope * film[k][0], 0.0)
+    whole = tension[rim.region[k]]
+    if rim.other[k] >= 0:
+        whole = 0.5 * (whole + tension[rim.other[k]])
+    sigma = wp.max(whole - slope * film[k][0], 0.0)
     m = inertia[k]
     push = m * (u[k] - flow[k]) + dt * (2.0 * sigma * along + m * gravity)
     push -= wp.dot(push, n) * n
@@ -336,6 +356,7 @@ def sweep(
     mass: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
     home: wp.array(dtype=wp.int32),
+    region: wp.array(dtype=wp.int32),
     edge: wp.array(dtype=wp.vec4),
     rim: Chain,
     reach: float,
@@ -351,6 +372,7 @@ def sweep(
         mass: [n] kg.
         surfactant: [n] mol on one interface.
         home: [n] E near each.
+        region: [n] index of each one's region.
         edge: [n_e] see `find_edge_e`.
         rim: the rims.
         reach: distance of its home within which a particle may meet a rim, m.
@@ -361,7 +383,7 @@ def sweep(
     i = wp.tid()
     if behind[i] == 1 or edge[home[i]][3] > reach:
         return
-    found = nearest_on_rim(rim, x[i])
+    found = nearest_on_rim(rim, x[i], region[i])
     if found[2] >= 0.0 or found[3] > reach:
         return
     behind[i] = 1

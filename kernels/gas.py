@@ -131,10 +131,13 @@ def find_offset_r(p_atm: wp.float64, limit: wp.float64, gas: wp.array2d(dtype=wp
     """Normal offset (at most `limit`, m) that gives the measured volume the size its pressure asks for.
 
     The swept volume that `close_gas` predicts is of second order in the displacement; what it misses is mended here
-    and not left to the next step's pressure. The volume slot then holds the volume after the offset.
+    and not left to the next step's pressure. The volume slot then holds the volume after the offset. A region that is
+    open to the outside holds no amount and takes whatever volume.
     """
     g = wp.tid()
     wanted = gas[g, AMOUNT] / (p_atm + gas[g, GAUGE])
+    if gas[g, AMOUNT] == wp.float64(0.0):
+        wanted = gas[g, VOLUME]
     offset = wp.clamp((wanted - gas[g, VOLUME]) / gas[g, AREA], -limit, limit)
     gas[g, OFFSET] = offset
     gas[g, VOLUME] = gas[g, VOLUME] + offset * gas[g, AREA]

@@ -146,6 +146,15 @@ def shift_e(
     u_mid_new[i] = speed
 
 
+@wp.func
+def on_one_side(taken: wp.array(dtype=wp.int32), i: int, j: int) -> bool:
+    """Whether no free rim lies between two E."""
+    same = bool(True)
+    if taken:
+        same = taken[i] == taken[j]
+    return same
+
+
 @wp.kernel
 def sweep_liquid_e(
     x: wp.array(dtype=wp.vec3),
@@ -156,6 +165,7 @@ def sweep_liquid_e(
     n_e: int,
     mass: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
+    taken: wp.array(dtype=wp.int32),
     # outputs
     swept: wp.array(dtype=wp.vec2),
 ):
@@ -173,6 +183,7 @@ def sweep_liquid_e(
         n_e: number of E.
         mass: [n_e] kg.
         surfactant: [n_e] mol.
+        taken: [n_e] 1 for E whose liquid a free rim has; none goes from or to them. None where nothing bursts.
         swept: [n_e] mass and surfactant that each E gets, kg and mol.
     """
     i = rows.first + wp.tid()
@@ -182,7 +193,7 @@ def sweep_liquid_e(
     total = wp.vec2()
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
-        if j < n_e:
+        if j < n_e and on_one_side(taken, i, j):
             d = x[j] - x[i]
             way = 0.5 * wp.dot(own + moved[j] - x[j], d)
             other = wp.vec2(mass[j], surfactant[j]) / area[j]
@@ -198,6 +209,7 @@ def blur_swept_e(
     near: wp.array(dtype=float),
     rows: Neighbors,
     n_e: int,
+    taken: wp.array(dtype=wp.int32),
     # outputs
     blurred: wp.array(dtype=wp.vec2),
 ):
@@ -209,13 +221,14 @@ def blur_swept_e(
         near: [pairs] W of each pair, 1/m^2.
         rows: E:E neighbours.
         n_e: number of E.
+        taken: see `sweep_liquid_e`.
         blurred: [n_e] kg and mol.
     """
     i = rows.first + wp.tid()
     total = swept[i]
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
-        if j < n_e:
+        if j < n_e and on_one_side(taken, i, j):
             total += near[k] * (area[i] * swept[j] - area[j] * swept[i])
     blurred[i] = total
 

@@ -96,10 +96,19 @@ class Wall:
 
 @dataclass(frozen=True)
 class Pop:
-    """Region `region` pops at `time`: its film is removed, what it shared with neighbours stays with them."""
+    """Region `region` pops at `time`: a hole opens in its free film, what it shared with neighbours stays with them.
+
+    Attributes:
+        time: s.
+        region: number of the bubble.
+        place: [3] m; the point of its free film nearest to it is punctured. None for the middle of that film.
+        delete: whether the film is removed at once, which costs nothing, in place of a rim that runs over it.
+    """
 
     time: float
     region: int
+    place: tuple[float, float, float] | None = None
+    delete: bool = False
 
     @property
     def regions(self) -> tuple[int, ...]:
@@ -109,11 +118,21 @@ class Pop:
 
 @dataclass(frozen=True)
 class Merge:
-    """The partition between regions `first` and `second` breaks at `time`; the gas goes to `first`."""
+    """The partition between regions `first` and `second` breaks at `time`; the gas goes to `first`.
+
+    Attributes:
+        time: s.
+        first: number of the bubble that stays.
+        second: number of the one that becomes a part of it.
+        place: [3] m; the point of the partition nearest to it is punctured. None for its middle.
+        delete: whether the partition is removed at once, see `Pop`.
+    """
 
     time: float
     first: int
     second: int
+    place: tuple[float, float, float] | None = None
+    delete: bool = False
 
     @property
     def regions(self) -> tuple[int, ...]:
@@ -157,6 +176,8 @@ class Cluster(Shape):
         for event in self.events:
             ok = np.isfinite(event.time) and event.time >= 0.0
             require(ok, f"time of {type(event).__name__}", event.time, "a time of at least 0, s")
+            if event.place is not None:
+                _vector(f"place of {type(event).__name__}", event.place)
             for region in event.regions:
                 allowed = f"a region from 0 to {len(self.bubbles) - 1}"
                 require(0 <= region < len(self.bubbles), f"region of {type(event).__name__}", region, allowed)

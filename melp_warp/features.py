@@ -32,10 +32,10 @@ class Features:
         circulation: L carry circulation.
         mixes: L exchange what they hold where the flow shears them.
         explicit: the normal motion is stepped by the present force over the mass.
-        budget: the energy budget is kept; a single layer has none, nor has a film that may burst or whose gas
-            comes and goes.
+        budget: the energy budget is kept, in a foam up to when a film bursts; a single layer has none, nor has a single
+            film that may burst or whose gas comes and goes.
         bursts: the film may get holes.
-        holed: it has got them: what it enclosed, and the air around it, count no more.
+        holed: a single film has got them: what it enclosed, and the air around it, count no more.
         carried: what L carry besides liquid and surfactant.
         stages, sets: parts of the step and particles of the scene's own.
     """
@@ -71,6 +71,7 @@ class Features:
         single = scene.numerics.layers == 1
         marangoni = (lagrangian or single) and scene.material.surfactant > 0.0
         foam = isinstance(scene.shape, Cluster)
+        holed = holed and not foam  # a foam's other bubbles stay as they are
         air = moving and scene.surroundings.air == "added_mass" and not holed
         closed = scene.shape.closed and not holed
         return cls(
@@ -90,13 +91,18 @@ class Features:
             explicit=single or (scene.numerics.scheme == "explicit" and not foam),
             air=air,
             dragged=air and closed and scene.surroundings.air_drag > 0.0,
-            budget=scene.budget and not (single or scene.bursting.possible or scene.breathes),
-            bursts=scene.bursting.possible,
+            budget=scene.budget and not (single or (scene.bursts and not foam) or scene.breathes),
+            bursts=scene.bursts,
             holed=holed,
             carried=scene.carried,
             stages=scene.stages,
             sets=scene.sets,
         )
+
+    @property
+    def tears(self) -> bool:
+        """Whether particles know of rims that have passed them: in a foam that may burst always."""
+        return self.holed or (self.foam and self.bursts)
 
     @property
     def air_waves(self) -> bool:

@@ -118,7 +118,7 @@ class Scene:
         object.__setattr__(self, "sets", tuple(self.sets))
         check_stages(self.stages)
         check_sets(self.sets)
-        if self.bursting.possible:
+        if self.bursts:
             self._check_bursting()
         self._check_gas()
         ends = self.slow_until is None or self.slow_until >= self.slow_from
@@ -138,7 +138,9 @@ class Scene:
         right = all(isinstance(one, Carried) for one in self.carried) and len(set(names)) == len(names)
         require(right, "carried", names, "Carried quantities, each name once")
         require(not names or self.l_per_e > 0, "carried", names, "none for a film without L: l_per_e at least 1")
-        require(not (names and self.bursting.possible), "carried", names, "none for a film that may burst")
+        require(
+            not (names and self.bursts), "carried", names, "none for a film that may burst, Pop(..., delete=True) aside"
+        )
 
     def _check_gas(self) -> None:
         """Refuse gas that no film holds, or that does not say when how much there is."""
@@ -151,6 +153,11 @@ class Scene:
         right = all(a < b for a, b in itertools.pairwise(times)) and all(map(math.isfinite, times))
         right = right and all(0.0 < a < 1e6 for a in amounts) and (not times or times[0] >= 0.0)
         require(right, "gas", self.gas, "times that rise from 0 s and amounts above 0")
+
+    @property
+    def bursts(self) -> bool:
+        """Whether films may burst."""
+        return self.bursting.possible or any(not event.delete for event in getattr(self.shape, "events", ()))
 
     @property
     def breathes(self) -> bool:
@@ -174,9 +181,8 @@ class Scene:
         return 1.0 / self.slow_motion if slow else 1.0
 
     def _check_bursting(self) -> None:
-        """Refuse films that cannot burst yet."""
-        foam, layers = isinstance(self.shape, Cluster), self.numerics.layers
-        require(not foam, "punctures and rupture_thickness", "some", "none for a foam: use pop_time and merge_time")
+        """Refuse films that cannot burst, and holes that are too large."""
+        layers = self.numerics.layers
         require(layers == 2, "layers", layers, "2 for a film that bursts")
         scheme = self.numerics.scheme
         require(scheme != "explicit", "scheme", scheme, "backward_euler or trapezoid for a film that bursts")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 
 import numpy as np
@@ -29,6 +29,7 @@ from melp_warp.stepping.breath import Breath
 from melp_warp.stepping.budget import Ledger, Reading
 from melp_warp.stepping.burst import Burst
 from melp_warp.stepping.events import Events
+from melp_warp.stepping.foam_burst import FoamBurst
 from melp_warp.stepping.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, set_up_holed, unresolved
 from melp_warp.stepping.single_layer import make_stepper
 from melp_warp.stepping.topology import Stored
@@ -99,8 +100,9 @@ class Simulation:
         self.watched = not self.device.is_cuda
         self.notices = Notices()
         self._last_dt, self._substeps = 0.0, 0
-        self.events = Events(scene.shape) if isinstance(scene.shape, Cluster) else None
-        self.burst = Burst(self) if scene.bursting.possible else None
+        self.events = Events(self) if isinstance(scene.shape, Cluster) else None
+        kind = FoamBurst if isinstance(scene.shape, Cluster) else Burst
+        self.burst = kind(self) if scene.bursts else None
         self.breath = Breath(self) if scene.breathes else None
         try:
             if checkpoint is not None:
@@ -387,33 +389,41 @@ class Simulation:
 
     def _until(self, end: float) -> float:
         """End of the frame, or the time of an event before it, s."""
-        following = self.events.following(self.state) if self.events else None
-        if self.burst is not None:
-            following = self.burst.following()
-        return end if following is None else min(end, following)
+        sources = [source for source in (self.events, self.burst) if source is not None]
+        times = [source.following() for source in sources]
+        return min([end, *(time for time in times if time is not None)])
 
     def _change_regions(self) -> None:
-        """Let regions pop, merge and appear whose time has come; the run is set up anew for what is left."""
-        while self.burst is not None and (change := self.burst.due()) is not None:
+        """Let films burst and regions appear whose time has come; the run is set up anew for what is left."""
+        while (change := self._due()) is not None:
             self.stepper.settle()
             stored = Stored.of(self.state)
             change(stored)
-            self.stepper.remark(self.notices)
-            wall = self.stepper.wall
-            _, self.stepper = set_up_holed(self.scene, stored, self.state, self.film)
-            self.stepper.wall = wall
+            if self.burst is None or not self.burst.take(stored):
+                self._set_up(stored)
+
+    def _due(self) -> Callable[[Stored], None] | None:
+        """What is to change now: holes first; None for nothing."""
+        for source in (self.burst, self.events):
+            if source is not None and (change := source.due()) is not None:
+                return change
+        return None
+
+    def _set_up(self, stored: Stored) -> None:
+        """Go on with a state of other regions or with other holes."""
+        budget, wall = self.stepper.budget, self.stepper.wall
+        self.stepper.remark(self.notices)
+        if budget is not None:
+            self.ledger.cut(budget.read(), budget.pending())
+        set_up = set_up_foam if self.film.features.foam else set_up_holed
+        _, self.stepper = set_up(self.scene, stored, self.state, self.film)
+        self.stepper.wall = wall
+        if self.film.features.foam and not self.gone:
+            self.state.course.reach = self._longest_way()
+        if self.burst is not None:
             self.burst.begin()
-        while self.events is not None and (change := self.events.due(self)) is not None:
-            stored = Stored.of(self.state)
-            change(stored)
-            self.stepper.remark(self.notices)
-            if self.stepper.budget is not None:
-                self.ledger.cut(self.stepper.budget.read(), self.stepper.budget.pending())
-            _, self.stepper = set_up_foam(self.scene, stored, self.state, self.film)
-            if not self.gone:
-                self.state.course.reach = self._longest_way()
-            if self.stepper.budget is not None:
-                self.ledger.open(self._weighed())
+        if self.stepper.budget is not None:
+            self.ledger.open(self._weighed())
 
     def largest_step(self) -> float:
         """The scene's dt, or the step in which the fastest particle moves `cfl` spacings, s.
@@ -466,13 +476,15 @@ class Simulation:
             x, v, normal = e.x.numpy()[:n], self._e_velocity(), e.normal.numpy()[:n]
             eta, area = self.stepper.fields.eta.numpy(), self.stepper.geometry.area.numpy()
         source = self.state.l if which == "l" else self.state.e
+        if source.behind is not None:
+            there = (source.behind.numpy() == 0) & (area > 0.0)
         region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
         ids = self.state.ids[which]
         order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
         if which == "l" and self.film.features.collects:
             order = np.flatnonzero(there)
-        if self.film.features.holed:
-            order = np.flatnonzero((source.behind.numpy() == 0) & (area > 0.0))
+        if source.behind is not None:
+            order = order[there[order]] if self.film.features.foam else np.flatnonzero(there)
         thickness = (eta * 1e9).astype(np.float32)[order]
         return ParticleFrame(
             points=(x + (self.state.origin - self.origin)).astype(np.float32)[order],
@@ -622,7 +634,7 @@ class Simulation:
 
     def _sums(self) -> np.ndarray:
         film, state = self.film, self.state
-        if film.features.holed:
+        if self.burst is not None and self.burst.torn:
             return self.burst.sums()
         if self.has_l:
             lag = state.l

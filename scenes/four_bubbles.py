@@ -2,7 +2,8 @@
 
 MELP 2022, Figure 20. Four films that meet along a line are not stable: two opposite bubbles with slightly less tension
 come to touch, and the line parts into two. Later the film between the two bubbles on the right breaks
-(`merge_time`), and what they have become pops (`pop_time`).
+(`merge_time`), and what they have become is punctured at its top right (`pop_time`): the rest feels the recoil. A burst
+takes some milliseconds: `slow_from=1.6 slow_motion=60` shows it.
 """
 
 import numpy as np
@@ -38,7 +39,8 @@ def build(p: Values) -> Scene:
     gap = p.gap * e_spacing(4 * [p.radius], p.e_count)
     bubbles = approaching(corners, p.radius, gap, p.approach_speed, factors)
     merge = () if p.merge_time is None else (Merge(p.merge_time, 1, 2),)
-    pop = () if p.pop_time is None else (Pop(p.pop_time, 1),)
+    corner = tuple(4.0 * p.radius * corners[1])
+    pop = () if p.pop_time is None else (Pop(p.pop_time, 1, corner),)
     return p.scene("four_bubbles", Cluster(bubbles, events=merge + pop))
 
 

@@ -33,10 +33,15 @@ SHEETS = {
         ["--set", "e_count=4000", "puncture_time=0.3", "slow_from=0.3", "slow_motion=15", "--frames", "36"],
         (21, 26, 31),
     ),
+    "four_bubbles_burst": (
+        ["--set", "e_count=2800", "l_per_e=8", "slow_from=1.6", "slow_motion=60", "--frames", "118"],
+        (101, 108, 117),
+    ),
+    "foam_pops": (["--set", "e_count=2500", "l_per_e=4", "--frames", "62"], (20, 45, 62)),
     "inflation": ([], (0, 60, 125)),
 }
 
-SCENE = {"giant_bubble_burst": "giant_bubble"}
+SCENE = {"giant_bubble_burst": "giant_bubble", "four_bubbles_burst": "four_bubbles"}
 """Scenes of sheets that have another name."""
 
 

@@ -22,6 +22,9 @@ CLEAR = 0.3
 APART = 1.8
 """Distance up to which E belong to one piece of a film, in widths of one."""
 
+FILL = 0.75
+"""Distance of the middle of a triangle from the nearest E, in widths of one, beyond which it closes a hole."""
+
 FEWEST = 6
 """E of the smallest piece that gets a mesh."""
 
@@ -44,6 +47,8 @@ def mesh_torn(
     """
     if beads is None or not len(beads.points) or not len(e.points):
         return make_meshes(e, lagrangian, rims, triangles)
+    if len(np.unique(e.region)) > 1:
+        return _torn_foam(e, lagrangian, beads, triangles)
     film, curves = _clear_of_rims(e, beads), outlines(rims, beads, e)
     piece, region = _pieces(film), int(e.region[0])
     made, problems = [], []
@@ -62,6 +67,44 @@ def mesh_torn(
         problems += found if sound else [f"region {region}: a piece of {len(part.points)} E makes no mesh"]
         made += sound.values()
     return ({region: _merged(made)} if made else {}), problems
+
+
+def _torn_foam(
+    e: ParticleFrame, lagrangian: ParticleFrame | None, beads: ParticleFrame, triangles: int | None
+) -> tuple[dict[int, MeshFrame], list[str]]:
+    """The closed meshes of all bubbles, those that burst without what closes their holes.
+
+    A hole in a bubble of a foam ends at borders as well as at its rim, so its edge is that of the last E.
+    """
+    made, problems = make_meshes(e, lagrangian, [], triangles)
+    for region in _regions_of(beads, e):
+        points = e.points[e.region == region].astype(np.float64)
+        if region in made:
+            made[region] = _without_fill(made[region], points, FILL * float(e.widths.mean()))
+    torn = {f"region {region}:" for region in _regions_of(beads, e)}
+    return made, [one for one in problems if not any(one.startswith(start) for start in torn)]
+
+
+def _regions_of(beads: ParticleFrame, e: ParticleFrame) -> list[int]:
+    """The regions over whose films free rims run: those of most of the E that are nearest to their beads."""
+    nearest = e.region[_nearest(beads.points, e, np.arange(len(e.points)))]
+    found = []
+    for number in np.unique(beads.region):
+        regions, counts = np.unique(nearest[beads.region == number], return_counts=True)
+        found += regions[counts > 0.3 * counts.sum()].tolist()
+    return sorted(set(found))
+
+
+def _without_fill(mesh: MeshFrame, points: np.ndarray, reach: float) -> MeshFrame:
+    """A mesh without the faces that are farther than `reach` (m) from all E at `points`, and their vertices."""
+    corners = mesh.points[mesh.faces].astype(np.float64)
+    kept = nearest_distance(corners.mean(axis=1), points) < reach
+    faces = mesh.faces[kept]
+    used = np.unique(faces)
+    number = np.zeros(len(mesh.points), dtype=np.int32)
+    number[used] = np.arange(len(used))
+    names = ("points", "velocities", "normals", "thickness", "black_film")
+    return MeshFrame(*(getattr(mesh, name)[used] for name in names), number[faces], mesh.origin)
 
 
 def _clear_of_rims(e: ParticleFrame, beads: ParticleFrame) -> ParticleFrame:

@@ -165,7 +165,7 @@ class Moment:
             return {}, []
         e = self._particles("e")
         lagrangian = self._particles("l") if self.simulation.has_l else None
-        beads = self._particles("rims") if plan.scene.bursting.possible else None
+        beads = self._particles("rims") if plan.scene.bursts else None
         rims = rims_of(plan, e.origin)
         made, problems = make_surfaces(e, lagrangian, rims, plan.triangles, plan.whole, beads)
         prims = mesh_prims(all_regions(plan), plan.whole)

@@ -116,10 +116,10 @@ class Redistribution:
         """Leave the liquid where it is."""
         film, e, geometry = self.film, self.state.e, self.geometry
         rows, (swept, blurred) = self.lists.ee.rows, self._swept
-        inputs = [e.x, self.shifted, geometry.area, geometry.weight, rows, film.n_e, e.mass, e.surfactant]
+        inputs = [e.x, self.shifted, geometry.area, geometry.weight, rows, film.n_e, e.mass, e.surfactant, e.swept]
         film.launch_e(kr.sweep_liquid_e, inputs, [swept])
         for new, mean in ((swept, blurred), (blurred, swept)):
-            film.launch_e(kr.blur_swept_e, [new, geometry.area, geometry.near, rows, film.n_e], [mean])
+            film.launch_e(kr.blur_swept_e, [new, geometry.area, geometry.near, rows, film.n_e, e.swept], [mean])
         film.launch_e(kr.take_swept_e, [swept], [e.mass, e.surfactant])
 
 

@@ -107,7 +107,7 @@ class Exchange:
     def prepare(self, dt: float) -> None:
         """Set whether and how much crosses before a step of dt (s)."""
         course, end = self.state.course, self.state.time + dt
-        self.due = end - course.crossed > EXCHANGE_INTERVAL
+        self.due = end - course.crossed > EXCHANGE_INTERVAL and not course.tears  # torn films hold none
         if self.due:
             self._time.at(self.film.numerics.exchange * (end - course.crossed))
             course.crossed = end

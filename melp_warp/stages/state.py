@@ -62,8 +62,8 @@ class EulerianState:
     mass: wp.array = _array(wp.float32, "e")
     surfactant: wp.array = _array(wp.float32, "e")
     region: wp.array = _array(wp.int32, "n")
-    behind: wp.array | None = _array(wp.int32, "e", lambda f: f.holed)
-    swept: wp.array | None = _array(wp.int32, "e", lambda f: f.holed and not f.lagrangian)
+    behind: wp.array | None = _array(wp.int32, "e", lambda f: f.tears)
+    swept: wp.array | None = _array(wp.int32, "e", lambda f: f.tears and not f.lagrangian)
     count: int = 0
 
 
@@ -96,7 +96,7 @@ class LagrangianState:
     eta: wp.array = _array(wp.float32, "l")
     region: wp.array = _array(wp.int32, "l")
     circulation: wp.array | None = _array(wp.float32, "l", lambda f: f.circulation)
-    behind: wp.array | None = _array(wp.int32, "l", lambda f: f.holed and f.lagrangian)
+    behind: wp.array | None = _array(wp.int32, "l", lambda f: f.tears and f.lagrangian)
     count: int = 0
 
 
@@ -127,6 +127,8 @@ class FreeRimState:
         film: [n_f] its relative surfactant concentration and thickness (m).
         growth: [n_f] growth of the waves that break it into drops since it last broke, in growth times.
         limit: [n_f] growth at which it breaks next, over the scene's.
+        region: [n_f] index of the region whose film it runs over.
+        other: [n_f] where that film is a partition, the region on its other side; -1 for a film that is free.
     """
 
     x: wp.array = _array(wp.vec3, "f")
@@ -141,6 +143,8 @@ class FreeRimState:
     film: wp.array = _array(wp.vec2, "f")
     growth: wp.array = _array(wp.float32, "f")
     limit: wp.array = _array(wp.float32, "f")
+    region: wp.array = _array(wp.int32, "f")
+    other: wp.array = _array(wp.int32, "f")
 
 
 @dataclass
@@ -241,9 +245,10 @@ class Course:
         pending: number of the scene's scripted events to come.
         unborn: the scene's numbers of the bubbles to come.
         punctured: number of the scene's punctures that have been made.
-        holed: whether the film has holes, or has burst.
+        holed: whether the film has holes, or has burst, or a film of the foam has.
         gas: amount of gas that a closed film started with, n R T, J.
         run: way of the fastest rim since film behind rims was last taken away, m.
+        tears: [scene's number of the region, that on the other side of a partition or -1] of each film that is torn.
         rest: liquid that a frame has collected where a rim came to it, and that left with drops out of sight, kg.
         shown: [3] where exported positions are measured from, the same for the whole run, m.
         ledger: the energy budget so far; None where the scene wants none.
@@ -269,6 +274,7 @@ class Course:
     holed: bool = False
     gas: float = 0.0
     run: float = 0.0
+    tears: list[list[int]] = field(default_factory=list)
     rest: float = 0.0
     shown: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     ledger: Ledger | None = None
@@ -489,7 +495,7 @@ class State:
                 name: getattr(was, name)
                 for name in (
                     *("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger"),
-                    *("punctured", "holed", "gas", "run", "rest"),
+                    *("punctured", "holed", "gas", "run", "rest", "tears"),
                 )
             },
             crossed=self.time,
@@ -513,7 +519,10 @@ class Snapshot:
     def save(self) -> None:
         """Copy the state here."""
         state = self.state
+        self._beads = state.f, state.d
         for name, array in state.arrays().items():
+            if self._copies[name].shape != array.shape:
+                self._copies[name] = wp.empty_like(array)
             wp.copy(self._copies[name], array)
         self._rest = (copy.deepcopy(state.course), state.seen.contents())
         self._scalars = (dict(state.ids), state.origin, state.time, state.frame)
@@ -521,6 +530,7 @@ class Snapshot:
     def restore(self) -> None:
         """Copy the saved state back."""
         state = self.state
+        state.f, state.d = self._beads
         for name, array in state.arrays().items():
             wp.copy(array, self._copies[name])
         course, seen = self._rest

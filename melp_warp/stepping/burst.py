@@ -16,7 +16,7 @@ from melp_warp.errors import SimulationError
 from melp_warp.frame import ParticleFrame, beads
 from melp_warp.kernels import free_rim as kr
 from melp_warp.measure.fits import connected, nearest_distance, squares
-from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT
+from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT, FreeRim
 from melp_warp.stepping.rims import FEWEST, POINT, ROUND, SUMS, Rims, Thread, breaking_points
 from melp_warp.stepping.topology import Stored
 
@@ -49,8 +49,15 @@ class Burst:
         self._moved = False
 
     @property
-    def _holed(self) -> bool:
-        return self._sim.film.features.holed and not self._sim.gone
+    def edge(self) -> FreeRim | None:
+        """The rims as they run; None without any."""
+        sim = self._sim
+        return sim.stepper.edge if sim.film.features.holed and not sim.gone else None
+
+    @property
+    def torn(self) -> bool:
+        """Whether some of the film is behind rims."""
+        return self._sim.film.features.holed
 
     @property
     def _rims(self) -> Rims:
@@ -70,8 +77,7 @@ class Burst:
 
     def longest_step(self) -> float:
         """Step in which the fastest rim runs `RIM_CFL` spacings, s."""
-        sim = self._sim
-        edge = sim.stepper.edge if self._holed else None
+        sim, edge = self._sim, self.edge
         speed = edge.fastest() if edge is not None else 0.0
         return RIM_CFL * sim.film.spacing / speed if speed > 0.0 else np.inf
 
@@ -80,16 +86,16 @@ class Burst:
         sim, first = self._sim, self._opened
         self._opened = None
         if first is not None:
-            sim.stepper.edge.sweep()
+            self.edge.sweep()
             inertia = sim.state.f.inertia.numpy()
             inertia[first:] = sim.state.f.mass.numpy()[first:].mean()
             sim.state.f.inertia.assign(inertia)
 
     def after_step(self, dt: float) -> None:
         """Count how far the rims have run, and let drops fly."""
-        sim = self._sim
-        if self._holed:
-            speed = sim.stepper.edge.fastest()
+        sim, edge = self._sim, self.edge
+        if edge is not None:
+            speed = edge.fastest()
             if not np.isfinite(speed):
                 raise SimulationError("stage rim: a point of a free rim is not finite")
             sim.state.course.run += dt * speed
@@ -117,10 +123,14 @@ class Burst:
             return self._tidy
         return None
 
+    def take(self, _: Stored) -> bool:
+        """Whether a change needs nothing to be set up anew."""
+        return False
+
     def _meeting(self) -> bool:
-        """Whether rims have met since they were last put in order."""
+        """Whether rims have met, or come to an end of the film, since they were last put in order."""
         rims = self._rims
-        return bool(self._at_frame(rims.point["x"]).any() or rims.meet(MEET * self._sim.film.spacing).any())
+        return bool(self._arrived(rims).any() or rims.meet(MEET * self._sim.film.spacing).any())
 
     def _thinnest(self) -> np.ndarray | None:
         """Place of the thinnest film, where it is thinner than it holds. [3], m."""
@@ -129,13 +139,16 @@ class Burst:
             return None
         sim = self._sim
         sim.stepper.fields.update()
-        eta = sim.stepper.fields.eta.numpy()[: sim.film.n_e]
-        if sim.film.features.holed:
-            e = sim.state.e
-            far = (e.behind.numpy() == 0) & (sim.stepper.edge.edge.numpy()[:, 3] > REACH * sim.film.spacing)
+        eta = self._film_thickness()
+        if self.edge is not None:
+            far = (sim.state.e.behind.numpy() == 0) & (self.edge.edge.numpy()[:, 3] > REACH * sim.film.spacing)
             eta = np.where(far, eta, np.inf)
         i = int(np.argmin(eta))
         return sim.state.e.x.numpy()[i] + sim.state.origin if eta[i] < least else None
+
+    def _film_thickness(self) -> np.ndarray:
+        """[n_e] thickness of the film at each E, m."""
+        return self._sim.stepper.fields.eta.numpy()[: self._sim.film.n_e]
 
     # --- what is told ------------------------------------------------------------------------------------------------
 
@@ -143,10 +156,10 @@ class Burst:
         """What a line of the log says of holes: liquid (kg) by where it is, and the rims."""
         state = self._sim.state
         rim, rims = state.f, self._rims
-        there = {"e": state.e.behind, "l": state.l.behind if state.l else None} if self._holed else {}
+        there = {"e": state.e.behind, "l": state.l.behind if state.l else None} if self.edge is not None else {}
         count = {f"{kind}_count": int((a.numpy() == 0).sum()) for kind, a in there.items() if a is not None}
         area = {}
-        if self._holed:
+        if self.edge is not None:
             own = self._sim.stepper.geometry.area.numpy()
             area["area"] = float(own[state.e.behind.numpy() == 0].sum(dtype=np.float64))
         return {
@@ -207,28 +220,40 @@ class Burst:
     # --- holes ------------------------------------------------------------------------------------------------------
 
     def _puncture(self, one: Puncture) -> Callable[[Stored], None] | None:
-        """Make a hole."""
+        """Make a hole; None, with a notice, where there is no film for one."""
         sim = self._sim
         film, e = sim.film, sim.state.e
-        n = film.n_e
-        x = e.x.numpy()[:n].astype(np.float64)
-        place = np.array(one.place) - sim.state.origin
-        away = np.linalg.norm(x - place, axis=1)
-        if film.features.holed:
+        x = e.x.numpy()[: film.n_e].astype(np.float64)
+        away = np.linalg.norm(x - (np.array(one.place) - sim.state.origin), axis=1)
+        if e.behind is not None:
             behind = e.behind.numpy() == 1
             if one.end is None and behind[np.argmin(away)]:
                 return self._without_effect(one, "in a hole")
             away = np.where(behind, np.inf, away)
         i = int(np.argmin(away))
         size = float(np.sqrt(sim.scene.shape.area))
-        radius = film.spacing if one.radius is None else one.radius
         if not away[i] <= max(0.25 * size, film.spacing):
             return self._without_effect(one, f"{away[i]:.3g} m off the film")
+        sides = self._sides(i)
+        return self._hole(one, i, sides) if sides else self._without_effect(one, "where the film lies on a wall")
+
+    def _sides(self, i: int) -> tuple[int, int] | None:
+        """Region of the film at E i, and that beyond it where it is a partition, else -1; None on a wall."""
+        return (0, -1)
+
+    def _hole(self, one: Puncture, i: int, sides: tuple[int, int]) -> Callable[[Stored], None]:
+        """Make a hole at E i, in the film between two regions."""
+        sim = self._sim
+        film, e, m = sim.film, sim.state.e, sim.scene.material
+        x = e.x.numpy()[: film.n_e].astype(np.float64)
+        place = np.array(one.place) - sim.state.origin
+        radius = film.spacing if one.radius is None else one.radius
         normal = e.normal.numpy()[i].astype(np.float64)
-        m = sim.scene.material
         sim.stepper.fields.update()
         gamma, eta = (float(a.numpy()[i]) for a in (sim.stepper.fields.gamma, sim.stepper.fields.eta))
-        speed = np.sqrt(2.0 * max(m.tension - film.slope * gamma, 0.0) / (m.density * eta))
+        eta *= 1.0 if sides[1] < 0 else 2.0  # a partition has two sheets
+        tension = float(film.tension.numpy()[sides[0]])
+        speed = np.sqrt(2.0 * max(tension - film.slope * gamma, 0.0) / (m.density * eta))
         centre = place - ((place - x[i]) @ normal) * normal
         if np.linalg.norm(centre - x[i]) > film.spacing:
             centre = x[i]
@@ -236,12 +261,14 @@ class Burst:
         farthest = float(np.linalg.norm(x - centre, axis=1).max()) + 2.0 * film.r
         end = centre + (end - centre) * min(1.0, farthest / max(float(np.linalg.norm(end - centre)), 1e-30))
         ring = _ring(centre, end, normal, radius, POINTS * film.spacing)
-        nearest = np.concatenate([np.argmin(squares(part, x), axis=1) for part in np.array_split(ring, len(ring))])
+        own = np.flatnonzero(e.region.numpy()[: film.n_e] == sides[0])
+        nearest = np.concatenate([np.argmin(squares(part, x[own]), axis=1) for part in np.array_split(ring, len(ring))])
+        nearest = own[nearest]
         normals = e.normal.numpy()[nearest].astype(np.float64)
         ring -= (((ring - x[nearest]) * normals).sum(axis=1, keepdims=True)) * normals
         flow = e.u.numpy()[nearest]
         seen = np.tile([gamma, eta], (len(ring), 1))
-        return lambda stored: self._open(stored, ring, normals, flow, seen, speed)
+        return lambda stored: self._open(stored, ring, normals, flow, seen, speed, sides)
 
     def _without_effect(self, one: Puncture, why: str) -> None:
         """Note a puncture that makes no hole."""
@@ -249,12 +276,13 @@ class Burst:
         text = f"the puncture at {where} at {one.time:g} s is {why}: nothing happens"
         self._sim.notices.note("puncture without effect", 1.0, text)
 
-    def _open(self, stored, ring, normals, flow, seen, speed) -> None:
+    def _open(self, stored, ring, normals, flow, seen, speed, sides) -> None:
         """Put a rim into the state; its liquid is what it finds behind it when it first looks."""
         arrays, k = stored.arrays, len(ring)
         old = len(arrays["f.x"])
         rng = np.random.default_rng([self.scene.seed, old, self._sim.state.course.punctured, k])
         new = {name: np.zeros((k, *arrays[f"f.{name}"].shape[1:])) for name in POINT}
+        new |= {"region": np.full(k, sides[0]), "other": np.full(k, sides[1])}
         new |= {"x": ring, "normal": normals, "flow": flow, "film": seen, "limit": breaking_points(k, rng)}
         out = np.cross(np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0), normals)
         new["u"] = flow + speed * out / np.linalg.norm(out, axis=1, keepdims=True)
@@ -277,17 +305,21 @@ class Burst:
         rng = np.random.default_rng([self.scene.seed, moment, len(stored.arrays["f.x"])])
         rims = Rims.of(stored.arrays)
         self._break(stored, rims, rng)
-        frame = self._at_frame(rims.point["x"])
-        self._collect(stored, rims, frame)
-        met = (rims.meet(MEET * spacing) | self._blind(stored, rims.point["x"])) & ~frame
+        there = self._arrived(rims)
+        self._collect(stored, rims, there)
+        met = (rims.meet(MEET * spacing) | self._blind(stored, rims)) & ~there
         self._close(stored, rims, np.flatnonzero(met))
-        ended = rims.cut(met | frame, met, POINTS * spacing)
+        ended = rims.cut(met | there, met, POINTS * spacing)
         if met.any():
             ended += self._islands(stored, rims)
         self._spray(stored, ended)
         rims.even(POINTS * spacing, rng)
         rims.store(stored.arrays)
         sim.state.course.run = 0.0
+        self._clear_up(stored, rims)
+
+    def _clear_up(self, stored: Stored, rims: Rims) -> None:
+        """Take away what the rims have left."""
         if not rims.chains or (stored.arrays["e.behind"] == 0).sum() < FEWEST:
             self._finish(stored, rims)
             return
@@ -314,9 +346,11 @@ class Burst:
             return
         arrays, place = stored.arrays, rims.point["x"][met]
         kind, flag = _carriers(stored)
+        sides = [rims.point[name][met] for name in ("region", "other")]
         for name in (flag, "e.behind"):
             which = name[0]
-            there = np.flatnonzero(arrays[name] == 0)
+            own = np.isin(arrays[f"{which}.region"][: len(arrays[name])], sides)
+            there = np.flatnonzero((arrays[name] == 0) & own)
             away = nearest_distance(arrays[f"{which}.x"][there], place)
             between = there[away < 0.5 * MEET * self._sim.film.spacing]
             if name == flag and len(between):
@@ -328,7 +362,7 @@ class Burst:
     def _islands(self, stored: Stored, rims: Rims) -> list[Thread]:
         """The liquid of pieces of film that no rim is near any more: they are too small for one."""
         arrays, n, spacing = stored.arrays, self._sim.film.n_e, self._sim.film.spacing
-        x, live = arrays["e.x"][:n], arrays["e.behind"] == 0
+        x, live = arrays["e.x"][:n], self._live(arrays)
         rows = self._sim.stepper.lists.ee.rows
         start, stop, index = (a.numpy() for a in (rows.start, rows.stop, rows.index))
         count = stop - start
@@ -353,20 +387,28 @@ class Burst:
         there = lost[self._sim.stepper.lists.le.home.numpy()] if kind == "l" else lost
         there = there & (arrays[flag] == 0)
         arrays[flag][there] = 1
+        return self._liquid_of(stored, kind, there)
+
+    def _liquid_of(self, stored: Stored, kind: str, chosen: np.ndarray) -> Thread:
+        """The liquid of the particles of a mask, as a thread."""
         x, u, mass, amount = (
-            arrays[f"{kind}.{name}"][: len(there)][there].astype(np.float64)
+            stored.arrays[f"{kind}.{name}"][: len(chosen)][chosen].astype(np.float64)
             for name in ("x", "u", "mass", "surfactant")
         )
         return Thread(x, u, mass, amount, np.full(len(x), self._sim.film.spacing))
 
-    def _blind(self, stored: Stored, x: np.ndarray) -> np.ndarray:
+    def _live(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
+        """[n_e] the film that a rim will pass."""
+        return arrays["e.behind"] == 0
+
+    def _blind(self, stored: Stored, rims: Rims) -> np.ndarray:
         """[n] whether points have no film before them any more."""
         there = stored.arrays["e.x"][: self._sim.film.n_e][stored.arrays["e.behind"] == 0]
-        return nearest_distance(x, there) > SIGHT * self._sim.film.spacing
+        return nearest_distance(rims.point["x"], there) > SIGHT * self._sim.film.spacing
 
-    def _at_frame(self, x: np.ndarray) -> np.ndarray:
+    def _arrived(self, rims: Rims) -> np.ndarray:
         """[n] whether points have come to the frame of an open film."""
-        held = self._sim.film.rim
+        held, x = self._sim.film.rim, rims.point["x"]
         if held is None or not len(x):
             return np.zeros(len(x), dtype=bool)
         anchors, outward = held.anchors.numpy(), held.outward.numpy()
@@ -374,11 +416,11 @@ class Burst:
         beyond = ((x - anchors[near]) * outward[near]).sum(axis=1)
         return beyond > -FRAME * self._sim.film.spacing
 
-    def _collect(self, stored: Stored, rims: Rims, frame: np.ndarray) -> None:
-        """Leave to the frame what has come to it."""
-        self._sim.state.course.rest += float(rims.point["mass"][frame].sum())
+    def _collect(self, stored: Stored, rims: Rims, there: np.ndarray) -> None:
+        """Leave to the frame what has come to it, the points `there` (mask)."""
+        self._sim.state.course.rest += float(rims.point["mass"][there].sum())
         for name in SUMS:
-            rims.point[name][frame] = 0.0
+            rims.point[name][there] = 0.0
 
     def _spray(self, stored: Stored, threads: list[Thread]) -> None:
         """Break threads of liquid into drops, as many as the fastest wave makes of them; sums are kept."""

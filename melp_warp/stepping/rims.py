@@ -30,7 +30,7 @@ STEADY = 0.87
 UNEVEN = 0.3
 """Relative spread of the growth at which points of a rim break, so that they do not break all at once."""
 
-POINT = ("x", "u", "inertia", "mass", "surfactant", "normal", "flow", "film", "growth", "limit")
+POINT = ("x", "u", "inertia", "mass", "surfactant", "normal", "flow", "film", "growth", "limit", "region", "other")
 """What the points of a rim hold besides their places in a chain."""
 
 SUMS = ("inertia", "mass", "surfactant")
@@ -185,6 +185,11 @@ class Rims:
             half[np.roll(chain.index, -1)] += 0.5 * gap
         return np.maximum(half, 1e-12)
 
+    def hole(self, chain: Chain) -> float:
+        """Area of the hole within a loop, that of a fan of triangles, m^2; of a chain that is closed by its chord."""
+        x = self.point["x"][chain.index] - self.point["x"][chain.index].mean(axis=0)
+        return 0.5 * float(np.linalg.norm(np.cross(x, np.roll(x, -1, axis=0)).sum(axis=0)))
+
     def _gaps(self, chain: Chain) -> np.ndarray:
         """[n] distance from each point of a chain to the next; 0 from the last of one that is no loop."""
         x = self.point["x"][chain.index]
@@ -214,7 +219,8 @@ class Rims:
             near = (way**2).sum(axis=2) < reach**2
             against = out[part] @ out.T < -0.2
             ahead = (way * out[part, None]).sum(axis=2) > 0.0
-            met[part] = (near & against & ahead).any(axis=1)
+            same = self.point["region"][part, None] == self.point["region"]
+            met[part] = (near & against & ahead & same).any(axis=1)
         return met
 
     def cut(self, gone: np.ndarray, liquid: np.ndarray, length: float) -> list[Thread]:
@@ -265,7 +271,7 @@ class Rims:
             (float(np.linalg.norm(x[a[-1]] - x[b[0]])), i, j)
             for i, (a, _, open_end) in enumerate(runs)
             for j, (b, open_start, _) in enumerate(runs)
-            if open_end and open_start
+            if open_end and open_start and self.point["region"][a[-1]] == self.point["region"][b[0]]
         )
         after: dict[int, int] = {}
         for distance, i, j in links:

@@ -20,6 +20,7 @@ from melp_warp.stages.film import ROOM, THICKEST, Film, RimArrays
 from melp_warp.stages.state import (
     INCREMENT,
     OFFSET,
+    VOLUME,
     BoundaryState,
     Course,
     DropState,
@@ -326,15 +327,16 @@ def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tupl
     """
     state = state_of(scene, stored.arrays, len(stored.labels), film.device)
     state.ids = stored.ids
-    stays = ("limit", "cap", "speed", "pending", "unborn", "shown", "ledger")
+    stays = ("limit", "cap", "speed", "pending", "unborn", "shown", "ledger", "punctured", "holed", "run", "rest")
     kept = {name: getattr(before.course, name) for name in stays}
-    state.course = Course(**kept, crossed=state.time, mixed=state.time, labels=stored.labels, spilled=stored.spilled)
+    own = {"labels": stored.labels, "spilled": stored.spilled, "tears": stored.tears}
+    state.course = Course(**kept, crossed=state.time, mixed=state.time, **own)
     film = film_of(scene, state, film.spacing, film.room)
     if not stored.labels:
         return film, make_stepper(film, state)
     stepper = Stepper(film, state)
     stepper.fields.update()
-    _fill_new_gas(film, state)
+    _fill_new_gas(film, state, new=stored.arrays["gas"][:, VOLUME] == 0.0)
     stepper.membrane.start_motion()
     return film, stepper
 
@@ -369,10 +371,9 @@ def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tup
     return film, stepper
 
 
-def _fill_new_gas(film: Film, state: State) -> None:
-    """The amount of gas of regions that have none yet, from their pressure and measured volume."""
+def _fill_new_gas(film: Film, state: State, new: np.ndarray) -> None:
+    """The amount of gas of the regions that are `new` (mask), from their pressure and measured volume."""
     gas = state.gas.numpy().copy()
-    new = gas[:, 2] == 0.0
     gas[new, 2] = (film.surroundings.pressure + gas[new, 1]) * gas[new, 0]
     state.gas.assign(gas)
 

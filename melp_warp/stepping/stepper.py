@@ -25,7 +25,7 @@ from melp_warp.stages.circulation import Circulation
 from melp_warp.stages.film import Film
 from melp_warp.stages.foam import Exchange, FoamMembrane
 from melp_warp.stages.forces import Forces
-from melp_warp.stages.free_rim import FreeRim
+from melp_warp.stages.free_rim import TornFilm
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.membrane import Membrane
 from melp_warp.stages.mixing import Mixing
@@ -70,7 +70,7 @@ class Stepper:
         self.lists = NeighborLists(film, state)
         self.geometry = Geometry(film, state, self.lists)
         self.fields = self._make_fields()
-        self.edge = FreeRim(film, state, self.lists, self.geometry, self.fields) if f.holed else None
+        self.edge = TornFilm(film, state, self.lists, self.geometry, self.fields) if f.holed else None
         hung = self.edge.inertia if self.edge is not None else None
         self.forces = Forces(film, state, self.fields, self.geometry.gain, hung)
         self.rim = Rim(film, state, self.lists, self.geometry, self.forces.gravity) if f.rim else None
@@ -94,7 +94,7 @@ class Stepper:
             if f.exchanges
             else None
         )
-        self.budget = Budget(film, state, self) if f.budget else None
+        self.budget = Budget(film, state, self) if f.budget and not state.course.holed else None
         self.broken = wp.array([0, 2**31 - 1], dtype=wp.int32, device=film.device)
         still = film.zeros(1, wp.vec3)
         self.frame, self.passed = (self.membrane.frame, self.membrane.passed) if f.moving else (still, still)
@@ -376,7 +376,9 @@ class Stepper:
         if not self.film.features.closed:
             return
         gas = self.state.gas.numpy()
-        error = (self.film.surroundings.pressure + gas[:, 1]) * gas[:, 0] / gas[:, 2] - 1.0
+        amount = np.where(gas[:, 2] > 0.0, gas[:, 2], np.inf)  # a bubble with a hole holds none
+        error = (self.film.surroundings.pressure + gas[:, 1]) * gas[:, 0] / amount - 1.0
+        error[amount == np.inf] = 0.0
         k = int(np.argmax(np.abs(error)))
         if not abs(error[k]) <= GAS_LAW:
             raise LeapError(

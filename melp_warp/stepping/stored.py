@@ -82,7 +82,15 @@ def check_stored(
     region = stored["e.region"][: sizes["e"]]
     whole = bool((np.diff(region) >= 0).all()) and len(np.unique(region)) == regions
     require(whole, "e.region", "another order", "ascending, with E of every region")
-    _check_gas(stored["gas"], closed=boundary == 0 and not course.holed)
+    foam = isinstance(scene.shape, Cluster)
+    _check_gas(stored["gas"], course, closed=boundary == 0 and (foam or not course.holed))
+    if "f.region" in stored:
+        _check_index("f.region", stored["f.region"], max(regions, 1))
+        _check_index("f.other", stored["f.other"], max(regions, 1), low=-1)
+        torn = {(course.labels.index(k), course.labels.index(j) if j >= 0 else -1) for k, j in course.tears}
+        sides = set(zip(stored["f.region"].tolist(), stored["f.other"].tolist(), strict=True))
+        right = sides <= (torn if foam else {(0, -1)})
+        require(right, "f.region, f.other", sorted(sides)[:5], "of films that are torn")
     frame, time = int(stored["frame"]), float(stored["time"])
     require(0 <= frame <= 1_000_000, "frame", frame, "from 0 to 1000000")
     least = scene.film_time(frame) * (1.0 - 1e-9)
@@ -95,7 +103,7 @@ def check_course(stored: object, scene: Scene) -> Course:
     names = {f.name for f in fields(Course)}
     right = isinstance(stored, dict) and set(stored) == names
     require(right, "course", sorted(stored)[:20] if isinstance(stored, dict) else stored, "what a run remembers")
-    others = ("builds", "labels", "unborn", "shown", "fresh", "pending", "ledger", "punctured", "holed")
+    others = ("builds", "labels", "unborn", "shown", "fresh", "pending", "ledger", "punctured", "holed", "tears")
     numbers = {k: v for k, v in stored.items() if k not in others}
     for name, value in numbers.items():
         none = name == "layer_speed" and value is None
@@ -109,7 +117,8 @@ def check_course(stored: object, scene: Scene) -> Course:
     holes = len(scene.bursting.punctures)
     _check_whole("punctured", [stored["punctured"]])
     require(stored["punctured"] <= holes, "punctured", stored["punctured"], f"at most {holes}, those of this scene")
-    bursts = scene.bursting.possible
+    bursts = scene.bursts
+    _check_tears(stored["tears"], stored["labels"], bursts and cluster is not None)
     require(bursts or not stored["holed"], "holed", stored["holed"], "false for a scene in which nothing bursts")
     for name in ("builds", "labels", "unborn"):
         _check_whole(name, stored[name])
@@ -160,6 +169,16 @@ def _check_ledger(stored: object, features: Features) -> Ledger | None:
         _check_terms("balance", {k: v for k, v in balance.items() if k != "momentum"}, {"liquid", "surfactant"})
         _check_three("balance", balance.get("momentum"))
     return Ledger(**stored)
+
+
+def _check_tears(tears: object, labels: object, possible: bool) -> None:
+    """Torn films are between regions that there are, each once."""
+    require(isinstance(tears, list) and (possible or not tears), "tears", tears, "none" if not possible else "a list")
+    there = labels if isinstance(labels, list) else []
+    for one in tears:
+        pair = isinstance(one, list) and len(one) == 2 and all(type(k) is int for k in one)
+        right = pair and one[0] in there and (one[1] == -1 or one[1] in there) and one[0] != one[1]
+        require(right and tears.count(one) == 1, "tears", one, "two regions that there are, each pair once")
 
 
 def check_notices(stored: object) -> dict:
@@ -282,8 +301,11 @@ def _check_index(name: str, index: np.ndarray, count: int, low: int = 0) -> None
     require(least >= low and most < count, name, [least, most], f"from {low} to {count - 1}")
 
 
-def _check_gas(gas: np.ndarray, closed: bool) -> None:
-    """What encloses gas has a volume and an amount of it."""
-    for slot in ("volume", "amount") if closed and len(gas) else ():
-        least = float(gas[:, GAS_SLOTS.index(slot)].min())
-        require(least > 0.0, f"gas, {slot}", least, "above 0")
+def _check_gas(gas: np.ndarray, course: Course, closed: bool) -> None:
+    """What encloses gas has a volume and an amount of it; one with a hole has none."""
+    opened = [label in [k for k, j in course.tears if j < 0] for label in course.labels]
+    for k, slots in enumerate(gas if closed else ()):
+        held = dict(zip(GAS_SLOTS, slots.tolist(), strict=True))
+        require(held["volume"] > 0.0, "gas, volume", held["volume"], "above 0")
+        right = held["amount"] == 0.0 if opened[k] else held["amount"] > 0.0
+        require(right, "gas, amount", held["amount"], "0 for a bubble with a hole" if opened[k] else "above 0")

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from melp_warp.measure.fits import squares
 from melp_warp.stages.state import AMOUNT, GAS_SLOTS, GAUGE, VOLUME, State
 
 AMOUNTS = ("mass", "surfactant")
@@ -29,6 +30,7 @@ class Stored:
         labels: the scene's number of each region.
         spilled: liquid that left with films that popped, kg.
         amounts: what particles hold that adds up.
+        tears: films that are torn, see `Course`.
     """
 
     arrays: dict[str, np.ndarray]
@@ -36,6 +38,7 @@ class Stored:
     labels: list[int] = field(default_factory=list)
     spilled: float = 0.0
     amounts: tuple[str, ...] = AMOUNTS
+    tears: list[list[int]] = field(default_factory=list)
 
     @classmethod
     def of(cls, state: State) -> Stored:
@@ -44,8 +47,9 @@ class Stored:
         arrays = {k: a for k, a in stored.items() if not k.startswith(("memory.", "ids."))}
         if "memory.area" in stored:
             arrays["memory.area"] = stored["memory.area"]  # found from the L at the start
-        amounts = (*AMOUNTS, *state.carried)
-        return cls(arrays, dict(state.ids), list(state.course.labels), state.course.spilled, amounts)
+        course, amounts = state.course, (*AMOUNTS, *state.carried)
+        tears = [list(one) for one in course.tears]
+        return cls(arrays, dict(state.ids), list(course.labels), course.spilled, amounts, tears)
 
     @property
     def kinds(self) -> str:
@@ -67,9 +71,10 @@ class Stored:
         """Forget region k, whose particles are gone, and number those after it anew."""
         for name in ("gas", "motion"):
             self.arrays[name] = np.delete(self.arrays[name], k, axis=0)
-        for kind in self.kinds:
-            region = self.region(kind)
+        names = [f"{kind}.region" for kind in self.kinds] + ["f.region", "f.other"]
+        for region in (self.arrays[name] for name in names if name in self.arrays):
             region[region > k] -= 1
+        self.tears = [one for one in self.tears if self.labels[k] not in one]
         del self.labels[k]
 
 
@@ -87,13 +92,18 @@ def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
         if "l.circulation" in stored.arrays:
             stored.arrays["l.circulation"][shared] *= -1.0  # about the normal of the other side
         for other in np.unique(partner_l[shared]):
-            _hand_over(stored, "l", shared & (partner_l == other), region == other)
+            _hand_over(stored, "l", shared & (partner_l == other), (region == other) & ~_behind(stored))
         stored.spilled += float(stored.arrays["l.mass"][(region == k) & ~shared].sum(dtype=np.float64))
         stored.select("l", region != k)
     else:
         stored.spilled += float(stored.arrays["e.mass"][stored.region("e") == k].sum(dtype=np.float64))
     stored.select("e", stored.region("e") != k)
     stored.drop_region(k)
+
+
+def _behind(stored: Stored) -> np.ndarray:
+    """[n_l] whether a free rim has the liquid of an L."""
+    return stored.arrays.get("l.behind", np.zeros(len(stored.arrays["l.mass"]))) == 1
 
 
 def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.ndarray]) -> None:
@@ -114,48 +124,70 @@ def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.nd
         if kind == carriers:
             _hand_over(stored, kind, gone, both & ~gone)
         stored.select(kind, ~gone)
+    for rims in (stored.arrays[name] for name in ("f.region", "f.other") if name in stored.arrays):
+        rims[rims == other] = k
     gas = stored.arrays["gas"]
     volume = gas[[k, other], VOLUME]
+    if gas[[k, other], AMOUNT].min() == 0.0:  # one is open to the outside
+        gas[[k, other], AMOUNT] = 0.0
     gas[k, GAUGE] = np.average(gas[[k, other], GAUGE], weights=volume)
     gas[k, VOLUME], gas[k, AMOUNT] = volume.sum(), gas[[k, other], AMOUNT].sum()
+    names = {stored.labels[other]: stored.labels[k]}
+    tears = [[names.get(label, label) for label in one] for one in stored.tears]
+    stored.tears = [one for one in tears if one[0] != one[1]]
     stored.drop_region(other)
     stored.select("e", np.argsort(stored.region("e"), kind="stable"))
 
 
 def _hand_over(stored: Stored, kind: str, gone: np.ndarray, kept: np.ndarray) -> None:
     """Give momentum and what adds up of the particles that go to those nearest that stay, `HEIRS` to each."""
-    arrays, sources, targets = stored.arrays, np.flatnonzero(gone), np.flatnonzero(kept)
-    if not len(sources) or not len(targets):
+    arrays, names = stored.arrays, ("x", "u", "eta", "circulation", *stored.amounts)
+    held = {name: arrays[f"{kind}.{name}"][gone] for name in names if f"{kind}.{name}" in arrays}
+    give(arrays, kind, held, np.flatnonzero(kept))
+
+
+def give(
+    arrays: dict[str, np.ndarray], kind: str, held: dict[str, np.ndarray], targets: np.ndarray, heirs: int = HEIRS
+) -> None:
+    """Give what is held at some places to the particles nearest to them.
+
+    Args:
+        arrays: the state's, changed in place.
+        kind: "e" or "l": the set of the particles that get it.
+        held: [n, 3] "x" (m) and "u" (m/s); [n] "mass" (kg) and what else adds up. Without "u" the speeds stay.
+        targets: indices of the particles that may get it.
+        heirs: of these that share what is at one place.
+    """
+    if not len(held["x"]) or not len(targets):
         return
     x, mass, u = arrays[f"{kind}.x"], arrays[f"{kind}.mass"], arrays[f"{kind}.u"]
-    heirs = min(HEIRS, len(targets))
+    heirs = min(heirs, len(targets))
     nearest = np.concatenate(
         [
-            targets[
-                np.argpartition(((x[part, None] - x[None, targets]) ** 2).sum(axis=2), heirs - 1, axis=1)[:, :heirs]
-            ]
-            for part in np.array_split(sources, 1 + len(sources) * len(targets) // 2_000_000)
+            targets[np.argpartition(squares(part, x[targets]), heirs - 1, axis=1)[:, :heirs]]
+            for part in np.array_split(held["x"], 1 + len(held["x"]) * len(targets) // 2_000_000)
         ]
     )
-    had, momentum = mass.copy(), mass[:, None] * u
-    np.add.at(momentum, nearest, momentum[sources, None] / heirs)
-    for name in stored.amounts:
-        amount = arrays.get(f"{kind}.{name}")
-        if amount is None:
-            continue
-        np.add.at(amount, nearest, amount[sources, None] / heirs)
-    met = np.unique(nearest)
-    u[met] = momentum[met] / mass[met, None]
+    had, momentum = mass.copy(), mass[:, None] * u[: len(mass)]
+    if "u" in held:
+        np.add.at(momentum, nearest, (held["mass"][:, None] * held["u"])[:, None] / heirs)
+    for name in (name for name in held if name not in ("x", "u", "eta", "circulation")):
+        np.add.at(arrays[f"{kind}.{name}"], nearest, held[name][:, None] / heirs)
+    if "u" in held:
+        met = np.unique(nearest)
+        u[met] = momentum[met] / mass[met, None]
     if kind == "l":
-        _stay_as_wide(arrays, sources, nearest, had)
+        _stay_as_wide(arrays, held, nearest, had)
 
 
-def _stay_as_wide(arrays: dict[str, np.ndarray], sources: np.ndarray, nearest: np.ndarray, had: np.ndarray) -> None:
+def _stay_as_wide(
+    arrays: dict[str, np.ndarray], held: dict[str, np.ndarray], nearest: np.ndarray, had: np.ndarray
+) -> None:
     """Let L that were given liquid keep their areas: they get thicker, and their vorticity is the mean by mass.
 
     Args:
         arrays: of the state, in which they have got it.
-        sources: [n] indices of those that gave.
+        held: what was given, see `give`; without "circulation" it had no vorticity.
         nearest: [n, HEIRS] indices of those that each gave to, in equal shares.
         had: [n_l] mass of each before, kg.
     """
@@ -163,7 +195,8 @@ def _stay_as_wide(arrays: dict[str, np.ndarray], sources: np.ndarray, nearest: n
     circulation = arrays.get("l.circulation")
     if circulation is not None:  # vorticities over the density
         brought = np.zeros(len(mass))
-        np.add.at(brought, nearest, (circulation[sources] * eta[sources] / nearest.shape[1])[:, None])
+        if "circulation" in held:
+            np.add.at(brought, nearest, (held["circulation"] * held["eta"] / nearest.shape[1])[:, None])
         circulation[met] = had[met] * (circulation[met] + brought[met] / eta[met]) / mass[met]
     eta[met] *= mass[met] / had[met]
 

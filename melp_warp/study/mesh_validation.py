@@ -141,6 +141,7 @@ SCENES = {
     "drainage": {"e_count": 300, "l_per_e": 4},
     "equilibrium": {"e_count": 300, "l_per_e": 4},
     "foam_mountain": {"e_count": 1000, "bubbles": 5},
+    "foam_pops": {"e_count": 2000, "l_per_e": 1, "pop_time": None},
     "four_bubbles": {"e_count": 800, "l_per_e": 2},
     "giant_bubble": {"e_count": 400, "l_per_e": 4},
     "giant_bubble_vortices": {"e_count": 500, "l_per_e": 4},

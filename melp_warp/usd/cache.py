@@ -999,7 +999,8 @@ def add_meshes(
         display_color(np.zeros(0, np.float32), gain, index)
     except (InputError, TypeError):
         raise InputError(f"{directory / ROOT}: colorGain and refractiveIndex are {gain!r:.80}, {index!r:.80}") from None
-    points = [prim for prim in prims_of(root) if not is_mesh(prim) and prim not in (FREE_RIMS, DROPS)]
+    sets = [prim for prim in prims_of(root) if not is_mesh(prim)]
+    points = [prim for prim in sets if prim not in (FREE_RIMS, DROPS)]
     numbers = list_frames(directory)
     require("Film" in points and bool(numbers), "directory", str(directory), "a cache with frames and /World/Film")
     origin = origin_of(root, "Film")
@@ -1013,7 +1014,7 @@ def add_meshes(
             _check_arrays(f"frame {frame} {prim}", mesh, attributes_of(prim))
             _set_values(layer, frame, prim, mesh, PLAIN, gain, index)
         sums[f"{FRAMES}/{path.name}"] = _export(layer, path)
-    manifest = _manifest_layer(fps, [*points, *meshes], layout_of(root, points))
+    manifest = _manifest_layer(fps, [*sets, *meshes], layout_of(root, points))
     sums[MANIFEST] = _export(manifest, directory / MANIFEST)
     _drop_meshes(root)
     _declare(root, meshes, origin)

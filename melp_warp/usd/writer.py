@@ -23,7 +23,7 @@ class UsdWriter:
         """Write manifest and root."""
         shown = "l" if simulation.has_l and plan.export != "e" else "e"
         self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
-        if plan.scene.bursting.possible:
+        if plan.scene.bursts:
             self._sets |= {FREE_RIMS: "rims", DROPS: "drops"}
         self._sets |= {one.name: one.name for one in plan.scene.sets}
         metadata = {

@@ -505,7 +505,7 @@ def test_scenes_lists_all(capsys):
     films = ["drainage", "equilibrium", "giant_bubble", "oscillating_bubble", "taylor_vortices"]
     films += ["deforming_rectangle_2m", "giant_bubble_vortices", "leapfrog", "stirred_disc", "turbulent_film"]
     films += ["burst_pair", "film_burst", "inflation"]
-    foams = ["cluster", "double_bubble", "foam_mountain", "four_bubbles", "quadruple_bubble"]
+    foams = ["cluster", "double_bubble", "foam_mountain", "foam_pops", "four_bubbles", "quadruple_bubble"]
     foams += ["size_ratio", "triple_bubble"]
     assert [line.split()[0] for line in listed] == sorted(films + foams)
 
@@ -645,7 +645,7 @@ def scripts():
 
 
 def test_scene_files_are_short():
-    assert len(scripts()) == 20
+    assert len(scripts()) == 21
     for path in scripts():
         assert len(path.read_text().splitlines()) < 100, path.name
 

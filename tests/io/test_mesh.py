@@ -11,7 +11,16 @@ from melp_warp.noise import Perlin
 from melp_warp.registry import scene_names
 from melp_warp.shapes import Cap, Catenoid, Disc, Ellipsoid, Jittered, Rectangle, Sphere, displaced_sphere
 from melp_warp.study.mesh_validation import SCENES, area_of, liquid_in, liquid_of, problems_of, prove_scene, volume_of
-from melp_warp.usd.cache import CacheWriter, list_frames, read_frame, read_mesh, read_metadata, surface_prim
+from melp_warp.usd.cache import (
+    DROPS,
+    FREE_RIMS,
+    CacheWriter,
+    list_frames,
+    read_frame,
+    read_mesh,
+    read_metadata,
+    surface_prim,
+)
 from melp_warp.usd.check import check_cache
 from tests.foams import cluster
 from tests.helpers import fitted_order
@@ -289,7 +298,13 @@ def test_a_run_writes_what_the_command_writes_afterwards(tmp_path, capsys):
     assert check_cache(tmp_path / "after") == []
     regions = range(4)
     for cache in ("with", "after"):
-        assert read_metadata(tmp_path / cache)["prims"] == ["Film", "FilmE", *map(surface_prim, regions)]
+        assert read_metadata(tmp_path / cache)["prims"] == [
+            "Film",
+            "FilmE",
+            FREE_RIMS,
+            DROPS,
+            *map(surface_prim, regions),
+        ]
     empty = 0
     for frame in list_frames(tmp_path / "with"):
         for region in regions:

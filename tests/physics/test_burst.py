@@ -232,7 +232,7 @@ def test_rims_keep_what_they_hold_while_points_come_and_go():
         x = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
         arrays = {f"f.{name}": np.ones(count) for name in ("inertia", "mass", "surfactant", "growth", "limit")}
         arrays |= {"f.x": x, "f.u": x.copy(), "f.normal": np.tile([0.0, 0.0, 1.0], (count, 1)), "f.flow": 0.0 * x}
-        arrays |= {"f.film": np.ones((count, 2))}
+        arrays |= {"f.film": np.ones((count, 2)), "f.region": np.zeros(count), "f.other": np.full(count, -1)}
         arrays["f.after"], arrays["f.before"] = np.roll(np.arange(count), -1), np.roll(np.arange(count), 1)
         rims = Rims.of(arrays)
         rims.even(0.1, np.random.default_rng(0))

@@ -291,7 +291,7 @@ def test_a_pop_leaves_no_grain():
 
 def test_pop_leaves_the_neighbour_with_the_shared_liquid():
     """Region 0 pops: region 1 keeps its label, ids and gas; liquid is conserved with what is spilled."""
-    simulation = Simulation(two(400, l_per_e=4, events=(Pop(0.1, 0),)))
+    simulation = Simulation(two(400, l_per_e=4, events=(Pop(0.1, 0, delete=True),)))
     start = simulation.diagnostics()
     ids = simulation.particles("e").ids
     for _ in range(16):
@@ -312,7 +312,7 @@ def test_when_the_last_bubble_pops_nothing_is_left_but_its_liquid(l_per_e, tmp_p
     A run that loads a checkpoint written while there is nothing goes on to the same bits.
     """
     bubbles = (Bubble((0.0, 0.0, 0.0), R), Bubble((0.0, 3.0 * R, 0.0), 0.9 * R, born=0.07))
-    events = (Pop(0.02, 0), Pop(0.105, 1))
+    events = (Pop(0.02, 0, delete=True), Pop(0.105, 1, delete=True))
     scene = cluster_scene(bubbles, 200, l_per_e=l_per_e, events=events, fps=60.0)
     simulation = Simulation(scene)
     start = simulation.diagnostics()
@@ -342,7 +342,7 @@ def test_when_the_last_bubble_pops_nothing_is_left_but_its_liquid(l_per_e, tmp_p
 
 def test_both_bubbles_of_two_pop():
     """The second pop leaves nothing, the first its share."""
-    simulation = Simulation(two(400, events=(Pop(0.01, 1), Pop(0.03, 0)), fps=60.0))
+    simulation = Simulation(two(400, events=(Pop(0.01, 1, delete=True), Pop(0.03, 0, delete=True)), fps=60.0))
     start = simulation.diagnostics()
     simulation.advance_frame()
     assert simulation.diagnostics()["regions"] == [0]
@@ -379,7 +379,7 @@ def test_an_event_that_changes_nothing_is_said(bubbles, events, words):
 
 def test_merge_adds_the_gas_and_keeps_the_liquid():
     """The partition breaks: one bubble with both amounts of gas, at the pressure of its size, round after 0.3 s."""
-    simulation = Simulation(two(800, l_per_e=2, events=(Merge(0.1, 0, 1),)))
+    simulation = Simulation(two(800, l_per_e=2, events=(Merge(0.1, 0, 1, delete=True),)))
     start = simulation.diagnostics()
     for _ in range(60):
         simulation.advance_frame()

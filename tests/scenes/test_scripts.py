@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from melp_warp.cluster import Cluster, Merge, Pop, e_spacing
+from melp_warp.cluster import Cluster, Merge, e_spacing
 from melp_warp.errors import InputError
 from melp_warp.parameters import KEYS
 from melp_warp.registry import load_scene, scene_names
@@ -13,7 +13,7 @@ from melp_warp.scene import Scene
 from melp_warp.shapes import StarShaped, fibonacci_sphere
 
 FOAMS = (
-    *("cluster", "double_bubble", "foam_mountain", "four_bubbles"),
+    *("cluster", "double_bubble", "foam_mountain", "foam_pops", "four_bubbles"),
     *("quadruple_bubble", "size_ratio", "triple_bubble"),
 )
 VORTICES = ("deforming_rectangle_2m", "giant_bubble_vortices", "leapfrog", "stirred_disc", "turbulent_film")
@@ -34,6 +34,7 @@ OWN = {
     "cluster": ["radius_low", "radius_high", "offset", "gap", "approach_speed", "merge_time"],
     "double_bubble": ["radius_1", "radius_2", "thickness_1", "thickness_2", "gap", "approach_speed", "exchange"],
     "foam_mountain": ["bubbles", "radius_low", "radius_high", "container", "tap_height", "interval", "speed"],
+    "foam_pops": ["radius_low", "radius_high", "gap", "pop_time", "pop_interval", "pops", "breakup"],
     "four_bubbles": ["radius", "gap", "approach_speed", "tension_spread", "merge_time", "pop_time"],
     "quadruple_bubble": ["radius", "gap", "approach_speed"],
     "size_ratio": ["radius_1", "ratio", "gap", "approach_speed"],
@@ -177,7 +178,9 @@ def test_size_ratio(ratio):
 
 def test_four_bubbles_merge_on_the_right_and_pop():
     cluster = build("four_bubbles", merge_time=0.5, pop_time=0.7).shape
-    assert cluster.events == (Merge(0.5, 1, 2), Pop(0.7, 1))
+    merge, pop = cluster.events
+    assert merge == Merge(0.5, 1, 2) and (pop.time, pop.region, pop.delete) == (0.7, 1, False)
+    assert pop.place[0] == pytest.approx(pop.place[1]) and pop.place[0] > 0.1
     assert all(cluster.bubbles[k].centre[0] > 0.0 for k in (1, 2))
     tension = [b.tension for b in cluster.bubbles]
     assert (tension[0], tension[1]) == (tension[2], tension[3]) == (0.99, 1.01)
