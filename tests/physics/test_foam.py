@@ -278,7 +278,7 @@ def test_same_seed_same_foam():
 def test_a_pop_leaves_no_grain():
     """A bubble of 600 nm pops on one of 300 nm, whose film gets the liquid of both sides of the partition, evenly."""
     bubbles = (Bubble((-R, 0.0, 0.0), R, thickness=600e-9), Bubble((R, 0.0, 0.0), R, thickness=300e-9))
-    simulation = Simulation(cluster_scene(bubbles, 400, events=(Pop(0.1, 0),), l_per_e=8))
+    simulation = Simulation(cluster_scene(bubbles, 400, events=(Pop(0.1, 0, delete=True),), l_per_e=8))
     start = simulation.diagnostics()
     for _ in range(13):
         simulation.advance_frame()
