@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from melp_warp.shapes import Disc, Ellipsoid, Rectangle, Sphere, StarShaped
     from melp_warp.simulation import Simulation
     from melp_warp.stage import Stage
+    from melp_warp.stages.air import AirModel
     from melp_warp.usd.cache import CacheWriter, list_frames, read_frame
 
 _HOMES = {
@@ -43,10 +44,12 @@ _HOMES = {
     "shapes": ("Disc", "Ellipsoid", "Rectangle", "Sphere", "StarShaped"),
     "simulation": ("Simulation",),
     "stage": ("Stage",),
+    "stages.air": ("AirModel",),
     "usd": ("CacheWriter", "list_frames", "read_frame"),
 }
 
 __all__ = [
+    "AirModel",
     "Bubble",
     "CacheWriter",
     "Carried",

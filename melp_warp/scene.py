@@ -20,6 +20,7 @@ from melp_warp.particle_set import ParticleSet, check_sets
 from melp_warp.scene_force import Force
 from melp_warp.shapes import Shape
 from melp_warp.stage import Stage, check_stages
+from melp_warp.stages.air import AirModel, check_model
 
 MOST_STEPS = 100_000
 """Steps that a frame may take."""
@@ -55,6 +56,7 @@ class Scene:
         forces: from outside, besides gravity: `Force`s, or Warp functions of place, time, velocity and thickness alone
             (docs/add-a-force.md).
         carried: what L carry besides liquid and surfactant (docs/carried.md).
+        air_model: how much air moves along where `surroundings.air` says that it does (docs/air.md).
         stages: parts of the step of the scene's own, and
         sets: particles of its own, which these move (docs/stages.md).
         gas: (time in s, amount over that at the start) of a closed single film, times rising; in between linear. It is
@@ -80,6 +82,7 @@ class Scene:
     bursting: Bursting = field(default_factory=Bursting)
     forces: Sequence[Force] = ()
     carried: Sequence[Carried] = ()
+    air_model: AirModel = field(default_factory=AirModel)
     stages: Sequence[type[Stage]] = ()
     sets: Sequence[ParticleSet] = ()
     frames: int = quantity(count("frames after the first", 0, MOST_FRAMES), 100)
@@ -116,6 +119,7 @@ class Scene:
         self._check_carried()
         object.__setattr__(self, "stages", tuple(self.stages))
         object.__setattr__(self, "sets", tuple(self.sets))
+        check_model(self.air_model)
         check_stages(self.stages)
         check_sets(self.sets)
         if self.bursts:

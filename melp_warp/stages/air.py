@@ -13,9 +13,56 @@ multi-shift conjugate gradients (`RationalLaplacian`).
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 
+from melp_warp.errors import require
+
 POLES = 7
+
+
+class AirModel:
+    """How much air moves along with a film, a unit of area; derive from it for another (docs/air.md).
+
+    This one is the added mass of air at rest on both sides, see above. What a film as a whole takes along in a foam is
+    that of a sphere, whatever the model. `density` is that of the air, kg/m^3, `radius` that of a sphere of the film's
+    volume, m, infinite for an open film.
+    """
+
+    def waves(self, lam: np.ndarray, density: float, radius: float) -> np.ndarray:
+        """Of waves with eigenvalues lambda of -lap_s, 1/m^2, on a single film; falls as lambda grows. kg/m^2."""
+        return added_mass(lam, density, radius)
+
+    def rigid(self, density: float, radius: float) -> float:
+        """Of a single film that moves as a whole, kg/m^2."""
+        return rigid_added_mass(density, radius)
+
+    def film(self, density: float, radius: np.ndarray) -> np.ndarray:
+        """Of the films of a foam, bubbles of these radii, whatever the length of the wave, kg/m^2."""
+        return film_added_mass(density, radius)
+
+    def describe(self) -> str:
+        """What tells it from another one in a checkpoint: its source and its numbers."""
+        return f"{inspect.getsource(type(self))} {sorted(vars(self).items())}"
+
+
+def check_model(model: object) -> None:
+    """Refuse what is no air model.
+
+    Raises:
+        InputError: it is none, or it gives masses that no air has.
+    """
+    require(isinstance(model, AirModel), "air_model", model, "an AirModel")
+    lam = np.geomspace(1.0, 1e6, 20)
+    for name, found in (
+        ("waves", model.waves(lam, 1.2, 0.1)),
+        ("rigid", np.array([model.rigid(1.2, 0.1)])),
+        ("film", model.film(1.2, np.array([0.1, 0.2]))),
+    ):
+        found = np.asarray(found, dtype=np.float64)
+        right = bool(np.isfinite(found).all()) and bool((found >= 0.0).all()) and found.ndim == 1
+        require(right, f"{name} of air_model {type(model).__name__}", found.tolist(), "masses of at least 0 kg/m^2")
 
 
 def added_mass(lam: np.ndarray, air_density: float, radius: float) -> np.ndarray:
@@ -33,7 +80,9 @@ def film_added_mass(air_density: float, radius):
     return 5.0 / 6.0 * air_density * radius
 
 
-def fit_poles(low: float, high: float, air_density: float, radius: float, blur: float) -> tuple[np.ndarray, np.ndarray]:
+def fit_poles(
+    low: float, high: float, air_density: float, radius: float, blur: float, model: AirModel | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Poles s_k > 0 and weights w_k > 0 with A = sum_k w_k/(lambda + s_k) on [low, high].
 
     There lambda is that of the SPH Laplacian, lambda (1 - blur (lambda - 2/R^2)) of a wave's own: the kernel's mean
@@ -47,7 +96,7 @@ def fit_poles(low: float, high: float, air_density: float, radius: float, blur: 
         Poles (1/m^2) and weights (kg/m^4), seven of each or fewer.
     """
     lam = np.geomspace(low, high, 200)
-    target = added_mass(lam * (1.0 + blur * (lam - 2.0 / radius**2)), air_density, radius)
+    target = (model or AirModel()).waves(lam * (1.0 + blur * (lam - 2.0 / radius**2)), air_density, radius)
     for count in range(POLES, 0, -1):
         best = (np.inf, None, None)
         for first in (0.05, 0.1, 0.2):

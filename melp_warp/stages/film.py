@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import warp as wp
 
@@ -13,6 +13,7 @@ from melp_warp.features import Features
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.scene_force import Force
+from melp_warp.stages.air import AirModel
 
 CONTACT_REACH = 2.5
 """Distance along the sheets within which facing E of different regions act on each other, spacings."""
@@ -56,6 +57,7 @@ class Film:
         seed: of everything random.
         walls: planes that a foam touches.
         forces: those that the scene brings along.
+        air: how much air moves along, where it takes part.
         radius: radius of the sphere of the film's volume, for the air's added mass; infinite for an open film, m.
         room: room of a neighbour list's row over the longest one when the list was made.
     """
@@ -75,6 +77,7 @@ class Film:
     seed: int = 0
     walls: tuple[Wall, ...] = ()
     forces: tuple[Force, ...] = ()
+    air: AirModel = field(default_factory=AirModel)
     rim: RimArrays | None = None
     radius: float = float("inf")
     room: float = ROOM

@@ -22,7 +22,6 @@ from melp_warp.kernels import line_forces as kl
 from melp_warp.kernels import motion as ko
 from melp_warp.kernels import regions as kr
 from melp_warp.kernels.native import CORNERS
-from melp_warp.stages.air import film_added_mass
 from melp_warp.stages.carriage import Carriage
 from melp_warp.stages.circulation import Circulation
 from melp_warp.stages.drag import AirDrag
@@ -232,7 +231,7 @@ class FoamMembrane:
             self.reach = min(max(LEAST_REACH * film.spacing, REACH_SHARE * float(radius.min())), film.r)
         self.bent.assign(np.maximum(BENT, CAP * 0.054 * (self.reach / radius) ** 2))
         if film.features.air:
-            self.added.assign(film_added_mass(film.surroundings.air_density, radius))
+            self.added.assign(film.air.film(film.surroundings.air_density, radius))
         inertia = film.material.areal_mass + float(self.added.numpy().mean())
         self.contact.lag = film.spacing * math.sqrt(inertia / self.contact.cling)
         lightest = film.material.areal_mass + float(self.added.numpy().min())

@@ -14,7 +14,6 @@ import warp as wp
 
 from melp_warp.device.launch import clear, copy, launch
 from melp_warp.kernels import free_rim as kr
-from melp_warp.stages.air import added_mass
 from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.neighbors import NeighborLists
@@ -154,7 +153,7 @@ class TornFilm(FreeRim):
         self._area, self._air = geometry.area, 0.0
         if film.surroundings.air != "none":
             size = film.spacing * math.sqrt(film.n_e / (4.0 * math.pi))
-            self._air = float(added_mass(6.0 / size**2, film.surroundings.air_density, size))
+            self._air = float(film.air.waves(6.0 / size**2, film.surroundings.air_density, size))
         self.inertia = wp.clone(state.e.mass)
         self._x_l = film.zeros(film.n_l, wp.vec3) if state.l is not None else None
 

@@ -132,6 +132,7 @@ class AirResponse:
             film.surroundings.air_density,
             film.radius,
             geometry.blur("sph"),
+            film.air,
         )
         self._blur = geometry.blur(numerics.curvature)
         self._stiffness, self._left_out = -1.0, Setting(film.device)
@@ -143,7 +144,7 @@ class AirResponse:
         if stiffness != self._stiffness:
             film = self.film
             mass = film.material.areal_mass
-            ringing = mass + air.added_mass(3.0 * self.low, film.surroundings.air_density, film.radius)
+            ringing = mass + film.air.waves(3.0 * self.low, film.surroundings.air_density, film.radius)
             bent = 2.0 * stiffness / film.radius**2
             softer = _softer(bent, float(ringing))
             self._left_out.at(bent - softer)
@@ -186,7 +187,7 @@ def _shortest_wave_speed(film: Film) -> float:
     """Speed of a wave of two spacings, m/s."""
     mass = film.material.areal_mass
     if film.features.air:
-        mass += air.added_mass((np.pi / film.spacing) ** 2, film.surroundings.air_density, film.radius)
+        mass += film.air.waves((np.pi / film.spacing) ** 2, film.surroundings.air_density, film.radius)
     return float(np.sqrt(2.0 * film.material.film_tension / mass))
 
 
@@ -244,9 +245,9 @@ class Membrane:
         self.swept = film.parts(wp.vec3d)
         self.rigid_air = self.lumped = 0.0
         if film.features.air:
-            self.rigid_air = air.rigid_added_mass(film.surroundings.air_density, film.radius)
+            self.rigid_air = film.air.rigid(film.surroundings.air_density, film.radius)
         if film.features.air and film.features.single:
-            self.lumped = float(air.added_mass(6.0 / _size(film) ** 2, film.surroundings.air_density, film.radius))
+            self.lumped = float(film.air.waves(6.0 / _size(film) ** 2, film.surroundings.air_density, film.radius))
         if film.features.air and not self.explicit:
             self.response = AirResponse(film, state, lists, geometry, forces.inertia)
         else:

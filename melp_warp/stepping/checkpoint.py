@@ -28,6 +28,7 @@ from melp_warp.keyframes import identity, stays
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
+from melp_warp.stages.air import AirModel
 from melp_warp.stages.notices import Notices
 from melp_warp.stages.state import Course, State, declared
 from melp_warp.stepping.sampling import boundary_count, state_of
@@ -82,6 +83,9 @@ def describe(scene: Scene) -> dict[str, object]:
     }
     for k, one in enumerate(scene.carried):
         said |= dict(_flat(f"carried.{k}", one))
+    if type(scene.air_model) is not AirModel:
+        told = hashlib.sha256(scene.air_model.describe().encode()).hexdigest()[:16]
+        said["surroundings.air_model"] = f"{type(scene.air_model).__name__} {told}"
     for k, stage in enumerate(scene.stages):
         said[f"stages.{k}"] = stage.name
     for k, one in enumerate(scene.sets):

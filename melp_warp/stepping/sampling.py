@@ -289,6 +289,7 @@ def film_of(scene: Scene, state: State, spacing: float, room: float | None = Non
         seed=scene.seed,
         walls=_walls_from(state.origin, scene.shape.walls) if features.foam else (),
         forces=scene.forces,
+        air=scene.air_model,
         rim=rim,
         radius=radius,
         room=room,
