@@ -13,8 +13,15 @@ WARMTH = Carried("warmth", "K", start=300.0, mean=True)
 DYE = Carried("dye", "kg/m^2", start=lambda x: np.where(x.sum(axis=1) > 0.0, 1e-6, 0.0))
 
 
+def at_once(made):
+    """The scene with films that pop and merge at once, not by rims."""
+    events = [replace(event, delete=True) for event in getattr(made.shape, "events", ())]
+    return replace(made, shape=replace(made.shape, events=tuple(events))) if events else made
+
+
 def scene(name, **numbers):
-    return replace(load_scene(name).scene(**{"e_count": 250, "l_per_e": 3, **numbers}), carried=(TWIN, WARMTH, DYE))
+    made = load_scene(name).scene(**{"e_count": 250, "l_per_e": 3, **numbers})
+    return replace(at_once(made), carried=(TWIN, WARMTH, DYE))
 
 
 def after(made, frames):

@@ -9,6 +9,7 @@ import warp as wp
 from melp_warp import InputError, ParticleSet, Scene, Simulation, SimulationError, Sphere, Stage, load_scene
 from melp_warp.numerics import Numerics
 from melp_warp.stage import TABLE
+from tests.physics.test_carried import at_once
 
 BUBBLE = Scene("bubble", Sphere(0.03), 150, 2)
 DUST = ParticleSet("Dust", np.zeros((5, 3)), 1e-3, {"u": np.ones((5, 3)), "age": np.arange(5)})
@@ -77,7 +78,7 @@ def test_single_layers_and_foams(device):
 
 def test_sets_outlive_changes_of_regions(device):
     """A bubble pops: dust stays as it is, what stages remember starts anew."""
-    popping = load_scene("four_bubbles").scene(e_count=460, l_per_e=1, merge_time=10.0, pop_time=0.01, gap=0.2)
+    popping = at_once(load_scene("four_bubbles").scene(e_count=460, l_per_e=1, pop_time=0.01, gap=0.2))
     simulation = Simulation(replace(popping, stages=[type("Calm", (Counter,), {"check": Stage.check})], sets=[DUST]))
     regions = simulation.film.regions
     simulation.advance_frame()
