@@ -17,6 +17,8 @@ from melp_warp.frame import ParticleFrame, beads
 from melp_warp.kernels import free_rim as kr
 from melp_warp.measure.fits import connected, nearest_distance, squares
 from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT, FreeRim
+from melp_warp.stages.state import AMOUNT, GAUGE
+from melp_warp.stepping.breath import CONTRACTION
 from melp_warp.stepping.rims import FEWEST, POINT, ROUND, SUMS, Rims, Thread, breaking_points
 from melp_warp.stepping.topology import Stored
 
@@ -100,15 +102,59 @@ class Burst:
                 raise SimulationError("stage rim: a point of a free rim is not finite")
             sim.state.course.run += dt * speed
             self._moved = True
+        if edge is not None and sim.scene.surroundings.air != "none":
+            self._vent(dt)
         drops, air = sim.state.d, sim.scene.surroundings
         density = air.air_density if air.air != "none" else 0.0
         inputs = [drops.mass, sim.scene.material.density, density, sim.film.gravity_at(sim.time - 0.5 * dt), dt]
         launch(kr.fly_d, drops.x.shape[0], inputs, [drops.x, drops.u], sim.device)
 
+    def _fallen(self) -> np.ndarray:
+        """[n_d] whether drops have come to a wall."""
+        sim = self._sim
+        walls = getattr(self.scene.shape, "walls", ())
+        if not walls or not sim.state.sizes["d"]:
+            return np.zeros(0, dtype=bool)
+        x = sim.state.d.x.numpy() + sim.state.origin
+        return np.any([(x - np.array(wall.point)) @ np.array(wall.normal) < 0.0 for wall in walls], axis=0)
+
+    def _leave(self, stored: Stored, drops: np.ndarray) -> None:
+        """Let the drops of a mask leave by the walls that they have come to."""
+        self._sim.state.course.rest += float(stored.arrays["d.mass"][drops].sum(dtype=np.float64))
+        for name in [name for name in stored.arrays if name.startswith("d.")]:
+            stored.arrays[name] = stored.arrays[name][~drops]
+        stored.ids["d"] = stored.ids["d"][~drops]
+
+    def _vent(self, dt: float) -> None:
+        """Let gas leave by the holes for a step of dt (s): C A sqrt(2 dp/rho_air), at the volume that it had.
+
+        The root of the pressure falls evenly, in a thousandth of a second or less; what is left then holds nothing up.
+        """
+        state, around = self._sim.state, self.scene.surroundings
+        gas, rims = state.gas.numpy(), None
+        for k in self._vented(gas):
+            rims = rims or self._rims
+            hole = sum(rims.hole(chain) for chain in rims.chains if rims.point["region"][chain.index[0]] == k)
+            fall = around.pressure / self._held(k, gas) * CONTRACTION * hole * np.sqrt(0.5 / around.air_density) * dt
+            gauge = gas[k, GAUGE]
+            gas[k, GAUGE] = np.sign(gauge) * max(np.sqrt(abs(gauge)) - fall, 0.0) ** 2
+        if rims is not None:
+            state.gas.assign(gas)
+
+    def _vented(self, gas: np.ndarray) -> list[int]:
+        """Regions with a hole that are still above the pressure outside."""
+        return [0] if self.scene.shape.closed and gas[0, GAUGE] != 0.0 else []
+
+    def _held(self, k: int, gas: np.ndarray) -> float:
+        """Volume of a region's gas when it was punctured, m^3."""
+        return gas[k, AMOUNT] / self.scene.surroundings.pressure
+
     def due(self) -> Callable[[Stored], None] | None:
         """The change to carry out now, None for none."""
         sim = self._sim
         course = sim.state.course
+        if (drops := self._fallen()).any():
+            return lambda stored: self._leave(stored, drops)
         if sim.gone:
             return None
         while (waiting := self.pending) and waiting[0].time <= sim.time + 1e-12:

@@ -18,7 +18,6 @@ from melp_warp.cluster import Merge, Pop
 from melp_warp.measure.fits import nearest_distance, squares
 from melp_warp.stages.free_rim import SIGHT, FreeRim
 from melp_warp.stages.state import AMOUNT, GAUGE, VOLUME, DropState, FreeRimState, allocate
-from melp_warp.stepping.breath import CONTRACTION
 from melp_warp.stepping.burst import Burst
 from melp_warp.stepping.events import find_partition
 from melp_warp.stepping.rims import SUMS, Rims
@@ -62,8 +61,6 @@ class FoamBurst(Burst):
         """Let the rims run, gas leave and drops fly."""
         if self.edge is not None:
             self.edge.advance(dt)
-        if self.torn:
-            self._vent(dt)
         super().after_step(dt)
 
     def due(self) -> Callable[[Stored], None] | None:
@@ -167,19 +164,11 @@ class FoamBurst(Burst):
         state.ids["d"] = stored.ids["d"]
         return True
 
-    def _vent(self, dt: float) -> None:
-        """Let gas leave by the holes for a step of dt (s): C A sqrt(2 dp/rho_air), at the region's volume.
+    def _vented(self, gas: np.ndarray) -> list[int]:
+        return np.flatnonzero((gas[:, AMOUNT] == 0.0) & (gas[:, GAUGE] != 0.0)).tolist()
 
-        The root of the pressure falls evenly, in a thousandth of a second or less; what is left then holds nothing up.
-        """
-        sim, rims, around = self._sim, self._rims, self.scene.surroundings
-        gas = sim.state.gas.numpy()
-        for k in np.flatnonzero((gas[:, AMOUNT] == 0.0) & (gas[:, GAUGE] != 0.0)):
-            hole = sum(rims.hole(chain) for chain in rims.chains if rims.point["region"][chain.index[0]] == k)
-            fall = (around.pressure / gas[k, VOLUME]) * CONTRACTION * hole * np.sqrt(0.5 / around.air_density) * dt
-            gauge = gas[k, GAUGE]
-            gas[k, GAUGE] = np.sign(gauge) * max(np.sqrt(abs(gauge)) - fall, 0.0) ** 2
-        sim.state.gas.assign(gas)
+    def _held(self, k: int, gas: np.ndarray) -> float:
+        return gas[k, VOLUME]
 
     # --- rims that end at borders ------------------------------------------------------------------------------------
 

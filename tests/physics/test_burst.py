@@ -245,6 +245,24 @@ def test_rims_keep_what_they_hold_while_points_come_and_go():
         assert gap.max() < 0.42 and gap.min() > 0.03
 
 
+def test_gas_leaves_by_the_hole_where_there_is_air():
+    """The root of the pressure falls as C A sqrt(rho_air/2) p_atm/V asks, with the hole as its rim has it: 1 %."""
+    material = Material(thickness=425e-9)
+    bursting = Bursting((Puncture((0.0, RADIUS, 0.0), 0.0, 1e-3),), breakup=0.0)
+    scene = Scene(
+        "bubble", Sphere(RADIUS), 900, 0, material, Surroundings(air="added_mass"), bursting=bursting, fps=2e4
+    )
+    simulation = Simulation(scene)
+    root, around = math.sqrt(simulation.state.gas.numpy()[0, 1]), scene.surroundings
+    for _ in range(4):
+        simulation.advance_frame()
+        x = simulation.state.f.x.numpy().astype(np.float64)
+        radius = np.linalg.norm(x - x.mean(axis=0), axis=1).mean()
+        rate = 0.6 * np.pi * radius**2 * around.pressure / (4.0 / 3.0 * np.pi * RADIUS**3)
+        root -= rate / math.sqrt(2.0 * around.air_density) * 5e-5
+        assert math.sqrt(simulation.state.gas.numpy()[0, 1]) == pytest.approx(root, rel=0.01)
+
+
 def test_drops_fall():
     """Without air freely, with it at the terminal speed of a sphere of 0.1 mm (Schiller and Naumann): 1 %."""
     radius, nu, rho = 5e-5, 1.81e-5 / 1.2, 998.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from melp_warp.bursting import Bursting, Puncture
-from melp_warp.cluster import Bubble, Cluster, Merge, Pop
+from melp_warp.cluster import Bubble, Cluster, Merge, Pop, Wall
 from melp_warp.material import Material, Surroundings
 from melp_warp.measure.results import measure
 from melp_warp.scene import Scene
@@ -109,6 +109,23 @@ def test_gas_leaves_by_the_hole():
         now = simulation.state.gas.numpy()[1, 1]
         assert now < before
         assert math.sqrt(now) == pytest.approx(math.sqrt(before) - fallen, rel=0.01)
+
+
+def test_drops_leave_at_the_floor():
+    """A bubble over a floor bursts: its drops fall there, and what left is counted."""
+    scene = foam(
+        (Bubble((0.0, 1.05 * R, 0.0), R),), 200, 2, punctures=(Puncture((0.0, 2.05 * R, 0.0), 0.0),), fps=200.0
+    )
+    object.__setattr__(scene, "shape", Cluster(scene.shape.bubbles, (Wall((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),)))
+    simulation = Simulation(scene)
+    start = liquid(simulation)
+    for _ in range(6):
+        simulation.advance_frame()
+    line = simulation.diagnostics()
+    assert simulation.gone
+    assert liquid(simulation) == pytest.approx(start, rel=1e-6)
+    assert 0.2 * start < line["frame_mass"] < start
+    assert simulation.state.d.x.numpy()[:, 1].min() > -1e-3
 
 
 def test_a_puncture_off_the_film_or_in_a_hole_is_said():
