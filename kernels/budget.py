@@ -229,16 +229,21 @@ def open_step_chunks(
 
 
 @wp.func
+def find_gauss(surface: Quadric) -> float:
+    """Gauss' curvature of a fitted surface, 1/m^2."""
+    b = 2.0 * surface.second
+    kappa = wp.trace(b)
+    return 0.5 * (kappa * kappa - wp.ddot(b, b))
+
+
+@wp.func
 def stretched_bend(surface: Quadric, sigma: float, p: float) -> float:
     """Second derivative of the energy of a film that moves along its normals as a whole, but for its waves. N/m^3.
 
     4 sigma K + p kappa with Gauss' curvature K: the area goes as 1 - kappa d + K d^2, the volume as d - kappa d^2/2. It
     is -2 sigma (k_1^2 + k_2^2) where p = -2 sigma kappa.
     """
-    b = 2.0 * surface.second
-    kappa = wp.trace(b)
-    gauss = 0.5 * (kappa * kappa - wp.ddot(b, b))
-    return 4.0 * sigma * gauss + p * kappa
+    return 4.0 * sigma * find_gauss(surface) + p * 2.0 * wp.trace(surface.second)
 
 
 @wp.kernel
@@ -302,6 +307,7 @@ def lose_membrane_e(
     dt: wp.array(dtype=float),
     # outputs
     loss: wp.array(dtype=float),
+    swelling: wp.array(dtype=float),
 ):
     """What the scheme of the membrane takes besides `book_forces_chunks`. [n_e], J.
 
@@ -339,6 +345,8 @@ def lose_membrane_e(
         theta: [1].
         dt: [1] s.
         loss: [n_e] J.
+        swelling: [n_e] what the film has more of its area, relative, by the normal motion d, to the second order:
+            -kappa d + (grad_s d)^2/2 + K d^2; surfactant pays for the work of its tension by it. Null without.
     """
     i = rows.first + wp.tid()
     share = theta[0]
@@ -352,7 +360,7 @@ def lose_membrane_e(
     bend = float(0.0)
     lap = float(0.0)
     lap_ahead = float(0.0)
-    if air == 1 or share != 0.5:
+    if air == 1 or share != 0.5 or swelling:
         for k in range(rows.start[i], rows.stop[i]):
             j = rows.index[k]
             w = weight[k]
@@ -365,6 +373,10 @@ def lose_membrane_e(
             lap_ahead += weight[k] * d[2]
     sigma = tension - slope * gamma[i]
     bow = stretched_bend(surface[i], sigma, float(gas[0, GAUGE]))
+    if swelling:
+        way = h * own
+        widen = find_gauss(surface[i]) * way - 2.0 * wp.trace(surface[i].second)
+        swelling[i] = widen * way + 0.5 * h * h * bend / a
     total = (share - 0.5) * h * h * (2.0 * sigma * bend + bow * a * own * own)
     c = 2.0 * (tension - slope) * share * share * h * h
     softer = c * bent - left_out[0]
@@ -446,7 +458,7 @@ def book_forces_chunks(
         passed: [regions] velocity as a whole at the time of the paths: its traction and that across the film, which
             bends, do no work together. m/s.
         widening: [n_e] growth of the film with the paths of L, see `surfactant.widen_path_e`.
-        swelling: [n_e] what of it normal motion makes.
+        swelling: [n_e] what normal motion makes, which the membrane has.
         growth: [n_e] relative growth of the thickness of L.
         claim: [n_e] area that L take up at their thickness, m^2.
         diffused: [n_e] velocity along the film after viscosity, m/s; null without.
@@ -622,7 +634,7 @@ def weigh_held_chunks(
     # outputs
     mixed: wp.array(dtype=wp.float64),
 ):
-    """Parts of what L have less of height and of their surfactant's free energy once they have mixed, J.
+    """Parts of what L have less of height and of their surfactant's free energy once they exchanged what they hold, J.
 
     Args:
         mass: [n] kg.
@@ -633,8 +645,8 @@ def weigh_held_chunks(
         packed: rho/Gamma_0, kg/(mol m).
         rt: R T, J/mol.
         n: number of L.
-        after: 1 once they have mixed, 0 before.
-        mixed: parts, J.
+        after: 1 afterwards, 0 before.
+        mixed: parts, J; in and out.
     """
     c = wp.tid()
     size = (n + mixed.shape[0] - 1) // mixed.shape[0]
@@ -643,8 +655,8 @@ def weigh_held_chunks(
         total += free_surfactant(i, mass, surfactant, eta, packed, rt)
         total -= wp.float64(mass[i]) * wp.float64(wp.dot(height, x[i]))
     if after == 1:
-        total = mixed[c] - total
-    mixed[c] = total
+        total = -total
+    mixed[c] = mixed[c] + total
 
 
 @wp.kernel
@@ -653,7 +665,7 @@ def book_mixed_chunks(
     mixed: wp.array(dtype=wp.float64),
     part: wp.array2d(dtype=wp.float64),
 ):
-    """Book what mixing before this step took, and forget it. Slot MIXED."""
+    """Book what exchanges before this step took, and forget it. Slot MIXED."""
     c = wp.tid()
     part[c, MIXED] = mixed[c]
     mixed[c] = wp.float64(0.0)

@@ -7,7 +7,8 @@ all that L carry, at the start of each step, so it lags by the last step of a fr
 from __future__ import annotations
 
 import weakref
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -81,7 +82,7 @@ TERMS = (
     Term("debt", LOSS, "momentum of foams given back", ((kb.DEBT, 1),)),
     Term("flow", LOSS, "scheme of the flow along the film", ((kb.FLOW, 1), (kb.SPREADING, 1))),
     Term("mending", LOSS, "thickness of L kept in step with that of E", ((kb.MENDING, 1),)),
-    Term("mixing", LOSS, "layers of liquid that mix", ((kb.MIXED, 1),)),
+    Term("mixing", LOSS, "liquid that L exchange as they mix, and across partitions", ((kb.MIXED, 1),)),
     Term("splitting", LOSS, "viscosity solved apart from the flow", ((kb.SPLITTING, 1),)),
     Term("hold", LOSS, "momentum of the film as a whole held", ((kb.HOLD, 1),)),
     Term("rim", LOSS, "what the rim takes: motion, and liquid with its height"),
@@ -147,9 +148,10 @@ class Budget:
         self.before = film.zeros(film.n_e, wp.vec3)
         self._no_air = film.zeros(film.regions)
         self._whole = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
-        self._bending, self._packed = None, None
+        self._bending, self._packed, self._swelling = None, None, None
         if f.moving and not f.foam:
             self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
+            self._swelling = film.zeros(film.n_e) if f.lagrangian and f.marangoni else None
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
         self._falls = f.lagrangian and not f.moving and any(film.surroundings.height)
@@ -157,7 +159,7 @@ class Budget:
             (film.zeros(film.n_e) for _ in range(6)) if f.foam else 6 * (None,)
         )
         self._pull, self._hold = (film.zeros(film.n_e, wp.vec3) for _ in range(2)) if f.foam else 2 * (None,)
-        self._mixed = film.parts(wp.float64) if f.mixes else None
+        self._mixed = film.parts(wp.float64) if f.mixes or f.exchanges else None
         self._rim = stepper.rim if f.collects else None
         if self._rim is not None:
             self._taken, self._border = film.parts(vec7d), wp.clone(state.border)
@@ -229,12 +231,18 @@ class Budget:
         if f.dragged:
             film.launch_regions(kb.book_whole_r, [membrane.drag.force, *self._path(), s.dt.array], [self.part])
 
-    def weigh_mixing(self, after: bool) -> None:
-        """Book what mixing between steps does to what is stored in L: before it, and `after`."""
+    @contextmanager
+    def weigh_held(self) -> Iterator[None]:
+        """Book what is done within to what is stored in L."""
+        self._weigh_held(0)
+        yield
+        self._weigh_held(1)
+
+    def _weigh_held(self, after: int) -> None:
         film, lag = self.film, self.state.l
         held = [lag.mass, lag.surfactant, lag.x]
         thickness, *scales = self._thin()
-        inputs = [*held, thickness, film.surroundings.height, *scales, film.n_l, int(after)]
+        inputs = [*held, thickness, film.surroundings.height, *scales, film.n_l, after]
         film.launch_parts(kb.weigh_held_chunks, inputs, [self._mixed])
 
     def _thin(self) -> list:
@@ -249,7 +257,8 @@ class Budget:
         flow, transfer = self._stages.tangential, self._stages.transfer
         if not self.film.features.marangoni or flow is None:
             return 6 * [None]
-        return [flow.traction, self._stages.passed, flow.widening, flow.swelling, transfer.growth, transfer.claim]
+        swelling = flow.swelling if self._swelling is None else self._swelling
+        return [flow.traction, self._stages.passed, flow.widening, swelling, transfer.growth, transfer.claim]
 
     def _path(self) -> list:
         """Velocities as a whole that the films move at in a step: two and the share of the way between them."""
@@ -310,7 +319,7 @@ class Budget:
                 *(film.material.tension, film.slope, bent, response.left_out, membrane.blur, membrane.rigid_air),
                 *(int(self._air_solver is not None), membrane.share, s.dt.array),
             ],
-            [self._bending],
+            [self._bending, self._swelling],
         )
 
     def book_range(self, after: bool) -> None:

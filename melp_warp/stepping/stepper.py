@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import weakref
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from functools import reduce
 from itertools import chain
 from operator import add
@@ -200,17 +201,15 @@ class Stepper:
     def _find_neighbors(self) -> None:
         self.lists.update_l()
         if self.exchange is not None and self.exchange.due:
-            self.exchange.apply(self.dt.array)  # (27), (28)
+            with self._weighed():
+                self.exchange.apply(self.dt.array)  # (27), (28)
         if self.mixing is not None and self.mixing.due:
-            self._mix()
+            with self._weighed():
+                self.mixing.apply()
 
-    def _mix(self) -> None:
-        budget = self.budget
-        if budget is not None:
-            budget.weigh_mixing(after=False)
-        self.mixing.apply()
-        if budget is not None:
-            budget.weigh_mixing(after=True)
+    def _weighed(self) -> AbstractContextManager:
+        """Where L exchange what they hold."""
+        return nullcontext() if self.budget is None else self.budget.weigh_held()
 
     def _gather(self) -> None:
         self.lists.note_late(1)
