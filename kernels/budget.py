@@ -293,6 +293,8 @@ def lose_membrane_e(
     gas: wp.array2d(dtype=wp.float64),
     frame: wp.array(dtype=wp.vec3),
     found: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    whole_share: float,
     weight: wp.array(dtype=float),
     rows: Neighbors,
     n_e: int,
@@ -332,6 +334,8 @@ def lose_membrane_e(
         gas: gas slots.
         frame: [1] velocity of the film as a whole, whose motion bends nothing, m/s.
         found: [1] the one in place of which it is held, m/s.
+        motion: [1] the one at the end of the step, m/s.
+        whole_share: of the way from `frame` to `motion` at which the film moves.
         weight: [pairs] a_i a_j K_ij.
         rows: E:E neighbours.
         n_e: number of E; beyond them the film does not move.
@@ -374,7 +378,8 @@ def lose_membrane_e(
     sigma = tension - slope * gamma[i]
     bow = stretched_bend(surface[i], sigma, float(gas[0, GAUGE]))
     if swelling:
-        way = h * own
+        moved = frame[0] + whole_share * (motion[0] - frame[0])
+        way = h * (u_mid[i] - wp.dot(moved, normal[i]))
         widen = find_gauss(surface[i]) * way - 2.0 * wp.trace(surface[i].second)
         swelling[i] = widen * way + 0.5 * h * h * bend / a
     total = (share - 0.5) * h * h * (2.0 * sigma * bend + bow * a * own * own)

@@ -315,7 +315,8 @@ class Budget:
             [
                 *(e.u, self.before, e.normal, geometry.area, e.mass, s.fields.gamma, geometry.surface),
                 *(membrane.u_mid, self._packed, response.load.b, response.unit.b, self.state.gas),
-                *(membrane.start, membrane.found, geometry.weight, s.lists.ee.rows, film.n_e),
+                *(membrane.start, membrane.found, self.state.motion, membrane.theta_whole),
+                *(geometry.weight, s.lists.ee.rows, film.n_e),
                 *(film.material.tension, film.slope, bent, response.left_out, membrane.blur, membrane.rigid_air),
                 *(int(self._air_solver is not None), membrane.share, s.dt.array),
             ],
