@@ -77,6 +77,7 @@ CASES = (
     EnergyCase("quadruple_bubble", 60, {"e_count": 800, "l_per_e": 4}, 0.01),
     EnergyCase("four_bubbles", 120, {"e_count": 800, "l_per_e": 4}, 0.02),
     EnergyCase("cluster", 30, {"e_count": 2200, "l_per_e": 2}, 0.01),
+    EnergyCase("foam_pops", 40, {"e_count": 1600, "l_per_e": 2}, 0.02),
     EnergyCase("foam_mountain", 30, {"e_count": 1000}, 0.02),
 )
 """Every scene; single films besides with what is not their default."""
