@@ -268,6 +268,12 @@ class FoamMembrane:
             [self.cover, self._faced, self.free],
         )
 
+    def read_cover(self) -> np.ndarray:
+        """[n_e] how far each E is covered (reads back: between steps)."""
+        if self.state.course.fresh:  # no step has found it yet
+            self.find_contacts(self.state.e.x)
+        return self.cover.numpy()
+
     def nearest_regions(self) -> np.ndarray:
         """Other region nearest to each E, -1 for none within reach (reads back: between steps)."""
         film = self.film

@@ -84,7 +84,7 @@ class Events:
         if not partition["e"].any():
             return self._miss(event, "they share no film")
         hole = None if event.delete else self._sim.burst.merge(event, *indices)
-        return hole or (lambda stored: merge_regions(stored, *indices, partition))
+        return hole or self._merge(*indices, partition)
 
     def _miss(self, event: Event, why: str) -> None:
         """Note that an event changes nothing."""
@@ -102,6 +102,16 @@ class Events:
             if burst is not None:
                 burst.release(stored, k)
             pop_region(stored, k, partners)
+
+        return change
+
+    def _merge(self, k: int, other: int, partition: dict[str, np.ndarray]) -> Callable[[Stored], None]:
+        burst = self._sim.burst
+
+        def change(stored: Stored) -> None:
+            if burst is not None:
+                burst.release_between(stored, k, other, partition)
+            merge_regions(stored, k, other, partition)
 
         return change
 
@@ -159,7 +169,7 @@ def find_partition(simulation: Simulation, k: int, other: int) -> dict[str, np.n
         partner = membrane.find_partners(kind)
         region = (state.e if kind == "e" else state.l).region.numpy()
         mask[kind] = ((region == k) & (partner == other)) | ((region == other) & (partner == k))
-    cover, region = membrane.cover.numpy(), state.e.region.numpy()
+    cover, region = membrane.read_cover(), state.e.region.numpy()
     nearest = membrane.nearest_regions()
     between = ((region == k) & (nearest == other)) | ((region == other) & (nearest == k))
     mask["e"] |= between & (cover > BORDER_COVER)

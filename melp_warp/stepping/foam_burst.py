@@ -87,6 +87,25 @@ class FoamBurst(Burst):
             self._spray(stored, rims.cut(gone, gone, 0.0))
             rims.store(stored.arrays)
 
+    def release_between(self, stored: Stored, k: int, other: int, partition: dict[str, np.ndarray]) -> None:
+        """Let the rims on a partition that is about to go leave their liquid to the film around.
+
+        What is behind them is a part of the partition, unless there are other tears that it may belong to.
+        """
+        rims, arrays = Rims.of(stored.arrays), stored.arrays
+        pair = (k, other)
+        gone = np.isin(rims.point["region"], pair) & np.isin(rims.point["other"], pair)
+        if gone.any():
+            self._keep_inside(stored, rims, np.flatnonzero(gone))
+            rims.cut(gone, np.zeros(len(gone), dtype=bool), 0.0)
+            rims.store(arrays)
+        labels = {stored.labels[k], stored.labels[other]}
+        if any(labels & set(one) and labels != set(one) for one in stored.tears):
+            return
+        for kind, mask in partition.items():
+            behind = arrays[f"{kind}.behind"] == 1
+            mask[: len(behind)] |= behind & np.isin(arrays[f"{kind}.region"][: len(behind)], pair)
+
     def _hole_in(self, event: Pop | Merge, sides: tuple[int, int], film: np.ndarray) -> Callable | None:
         """A hole in the film of the E of a mask [n_e], at the event's place or farthest from the rest of the sheet."""
         x = self._sim.state.e.x.numpy()[: self._sim.film.n_e].astype(np.float64)
@@ -108,7 +127,7 @@ class FoamBurst(Burst):
 
     def _shared(self) -> np.ndarray:
         """[n_e] whether the sheet at an E is one film with another or lies on a wall."""
-        return self._sim.stepper.membrane.cover.numpy() > SHARED
+        return self._sim.stepper.membrane.read_cover() > SHARED
 
     def _partners(self) -> np.ndarray:
         """[n_e] region on the other side of each E, -1 for none."""
@@ -245,9 +264,9 @@ class FoamBurst(Burst):
         caved = state.gas.numpy()[:, VOLUME] < CAVED_IN * state.memory.volume.numpy()
         point = self._sim.state.f
         left = set(zip(point.region.numpy().tolist(), point.other.numpy().tolist(), strict=True))
-        for tear, (k, other) in zip(self._sim.state.course.tears, self._indices(), strict=True):
+        for k, other in self._indices():
             if (k, other) not in left or (other < 0 and caved[k]):
-                return self._end_bubble(k) if other < 0 else self._end_partition(k, other, tear)
+                return self._end_bubble(k) if other < 0 else self._end_partition(k, other)
         return None
 
     def _end_bubble(self, k: int) -> Callable[[Stored], None]:
@@ -265,7 +284,7 @@ class FoamBurst(Burst):
             whole = np.unique(arrays[f"{kind}.region"][: len(taken)][~taken])
             scraps = own & ~np.isin(partner, whole)
             self._spray(stored, [self._liquid_of(stored, kind, scraps)])
-            arrays[f"{kind}.mass"][: len(taken)][scraps | (taken & (arrays[f"{kind}.region"][: len(taken)] == k))] = 0.0
+            arrays[f"{kind}.mass"][: len(taken)][scraps] = 0.0
             if kind == "e":
                 self._hand_across(stored, np.flatnonzero(own & ~scraps), partner)
                 pop_region(stored, k, None)
@@ -275,24 +294,12 @@ class FoamBurst(Burst):
 
         return change
 
-    def _end_partition(self, k: int, other: int, tear: list[int]) -> Callable[[Stored], None]:
+    def _end_partition(self, k: int, other: int) -> Callable[[Stored], None]:
         """The partition between two regions is gone: they are one."""
         partition = find_partition(self._sim, k, other)
 
         def change(stored: Stored) -> None:
-            arrays = stored.arrays
-            kind = "l" if self._sim.has_l else "e"
-            both = np.isin(arrays[f"{kind}.region"], (k, other))
-            taken = np.zeros(len(both), dtype=bool)
-            flag = arrays["l.behind" if kind == "l" else "e.swept"] == 1
-            taken[: len(flag)] = flag
-            for name in ("mass", "surfactant"):
-                held = arrays[f"{kind}.{name}"]
-                held[(both & taken)[: len(held)]] = 0.0
-            for which, mask in partition.items():
-                behind = arrays[f"{which}.behind"] == 1
-                mask[: len(behind)] |= behind & np.isin(arrays[f"{which}.region"][: len(behind)], (k, other))
-            stored.tears.remove(tear)
+            self.release_between(stored, k, other, partition)
             merge_regions(stored, k, other, partition)
 
         return change
@@ -312,9 +319,12 @@ class FoamBurst(Burst):
             self._push(arrays, (int(j),), (across[own, None] * normal[own]).sum(axis=0))
 
     def _push(self, arrays: dict[str, np.ndarray], regions: tuple[int, ...], momentum: np.ndarray) -> None:
-        """Give regions momentum [3], kg m/s, with which they move as one."""
-        gained = momentum / self._sim.stepper.membrane.whole.numpy()[list(regions)].sum()
+        """Give regions momentum [3], kg m/s, with which they move as one, air included (see `carry_motion_r`)."""
+        air = self.scene.surroundings
+        density = air.air_density if air.air != "none" else 0.0
         there = np.flatnonzero(np.isin(arrays["e.region"], regions))
+        volume = arrays["gas"][list(regions), VOLUME].sum()
+        gained = momentum / (arrays["e.mass"][there].sum(dtype=np.float64) + 1.5 * density * volume)
         normal = arrays["e.normal"][there]
         arrays["e.u"][there] += (normal @ gained)[:, None] * normal
         for name in (name for name in ("l.u", "l.v") if name in arrays):

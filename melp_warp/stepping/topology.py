@@ -87,23 +87,26 @@ def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
         partner_l: [n_l] region that each L's film is shared with, -1 for none; None without L.
     """
     if partner_l is not None:
-        region = stored.region("l")
-        shared = (region == k) & (partner_l >= 0)
+        region, there = stored.region("l"), _there(stored, "l")
+        shared = (region == k) & (partner_l >= 0) & there
         if "l.circulation" in stored.arrays:
             stored.arrays["l.circulation"][shared] *= -1.0  # about the normal of the other side
         for other in np.unique(partner_l[shared]):
-            _hand_over(stored, "l", shared & (partner_l == other), (region == other) & ~_behind(stored))
-        stored.spilled += float(stored.arrays["l.mass"][(region == k) & ~shared].sum(dtype=np.float64))
+            _hand_over(stored, "l", shared & (partner_l == other), (region == other) & there)
+        stored.spilled += float(stored.arrays["l.mass"][(region == k) & there & ~shared].sum(dtype=np.float64))
         stored.select("l", region != k)
     else:
-        stored.spilled += float(stored.arrays["e.mass"][stored.region("e") == k].sum(dtype=np.float64))
+        held = stored.arrays["e.mass"]
+        own = (stored.region("e")[: len(held)] == k) & _there(stored, "e")
+        stored.spilled += float(held[own].sum(dtype=np.float64))
     stored.select("e", stored.region("e") != k)
     stored.drop_region(k)
 
 
-def _behind(stored: Stored) -> np.ndarray:
-    """[n_l] whether a free rim has the liquid of an L."""
-    return stored.arrays.get("l.behind", np.zeros(len(stored.arrays["l.mass"]))) == 1
+def _there(stored: Stored, kind: str) -> np.ndarray:
+    """[n] whether particles hold their liquid: no free rim has it."""
+    taken = stored.arrays.get("l.behind" if kind == "l" else "e.swept")
+    return np.ones(len(stored.arrays[f"{kind}.mass"]), dtype=bool) if taken is None else taken == 0
 
 
 def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.ndarray]) -> None:
@@ -122,7 +125,8 @@ def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.nd
         gone = both & partition[kind]
         carriers = "l" if "l" in stored.kinds else "e"
         if kind == carriers:
-            _hand_over(stored, kind, gone, both & ~gone)
+            there = _there(stored, kind)
+            _hand_over(stored, kind, gone & there, both & ~gone & there)
         stored.select(kind, ~gone)
     for rims in (stored.arrays[name] for name in ("f.region", "f.other") if name in stored.arrays):
         rims[rims == other] = k
@@ -133,8 +137,8 @@ def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.nd
     gas[k, GAUGE] = np.average(gas[[k, other], GAUGE], weights=volume)
     gas[k, VOLUME], gas[k, AMOUNT] = volume.sum(), gas[[k, other], AMOUNT].sum()
     names = {stored.labels[other]: stored.labels[k]}
-    tears = [[names.get(label, label) for label in one] for one in stored.tears]
-    stored.tears = [one for one in tears if one[0] != one[1]]
+    tears = dict.fromkeys(tuple(names.get(label, label) for label in one) for one in stored.tears)
+    stored.tears = [list(one) for one in tears if one[0] != one[1]]
     stored.drop_region(other)
     stored.select("e", np.argsort(stored.region("e"), kind="stable"))
 
@@ -142,6 +146,8 @@ def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.nd
 def _hand_over(stored: Stored, kind: str, gone: np.ndarray, kept: np.ndarray) -> None:
     """Give momentum and what adds up of the particles that go to those nearest that stay, `HEIRS` to each."""
     arrays, names = stored.arrays, ("x", "u", "eta", "circulation", *stored.amounts)
+    if not kept.any():
+        stored.spilled += float(arrays[f"{kind}.mass"][gone].sum(dtype=np.float64))
     held = {name: arrays[f"{kind}.{name}"][gone] for name in names if f"{kind}.{name}" in arrays}
     give(arrays, kind, held, np.flatnonzero(kept))
 

@@ -93,6 +93,55 @@ def test_a_partition_breaks_and_two_bubbles_are_one(tmp_path):
     assert all(np.array_equal(held[name], same[name]) for name in held)
 
 
+@pytest.mark.parametrize("l_per_e", [0, 2])
+def test_a_torn_bubble_is_deleted(l_per_e):
+    """What its rim holds is drops, the rest is spilled: nothing counts twice."""
+    simulation = Simulation(foam(TRIPLE, 450, l_per_e, [Pop(0.0, 1), Pop(0.001, 1, delete=True)], fps=1000.0))
+    start = liquid(simulation)
+    simulation.advance_frame()
+    assert simulation.film.labels == (0, 2) and simulation.spilled > 0.1 * start
+    assert liquid(simulation) == pytest.approx(start, rel=1e-6)
+
+
+@pytest.mark.parametrize("l_per_e", [0, 2])
+def test_two_torn_bubbles_become_one_and_a_torn_partition_goes(l_per_e):
+    """No liquid goes to film that a rim has taken, no rim is left where its film is not, and each tear counts once."""
+    events = [Merge(0.0302, 0, 1), Pop(0.0304, 0), Pop(0.0304, 1), Merge(0.0308, 0, 1, delete=True)]
+    simulation = Simulation(foam(PAIR, 400, l_per_e, events))
+    start = liquid(simulation)
+    while simulation.time < 0.0305:
+        simulation.advance_frame()
+    assert simulation.film.labels == (0,)
+    assert simulation.state.course.tears == [[0, -1]]
+    assert set(simulation.state.f.other.numpy()) == {-1}
+    assert liquid(simulation) == pytest.approx(start, rel=1e-6)
+
+
+def test_two_bubbles_end_at_once_without_air():
+    """What is left of one that ends right after another gets its momentum, a number."""
+    scene = foam(TRIPLE, 450, 0, [Pop(0.0005, 1), Pop(0.0005, 2)])
+    object.__setattr__(scene, "surroundings", Surroundings(damping=50.0))
+    object.__setattr__(scene, "bursting", Bursting(breakup=20.0))
+    simulation = Simulation(scene)
+    for _ in range(5):
+        simulation.advance_frame()
+    assert simulation.film.labels == (0,)
+    assert np.isfinite(simulation.state.e.u.numpy()).all()
+
+
+@pytest.mark.parametrize("scripted", [Merge(0.0305, 0, 1), Pop(0.0305, 0)])
+def test_what_comes_after_another_change_at_once_sees_partitions(scripted):
+    """A partition is one although the film was set up anew a moment ago and has done no step since."""
+    far = Bubble((0.0, 5.0 * R, 0.0), R)
+    simulation = Simulation(foam((*PAIR, far), 600, 0, [Pop(0.0305, 2, delete=True), scripted]))
+    while simulation.time < 0.0305:
+        simulation.advance_frame()
+    other = 1 if isinstance(scripted, Merge) else -1
+    assert simulation.state.course.tears == [[0, other]]
+    x = simulation.state.f.x.numpy()[:, 0] + simulation.state.origin[0]
+    assert (x.mean() < -R) if other < 0 else (abs(x.mean()) < 0.1 * R)
+
+
 def test_gas_leaves_by_the_hole():
     """The root of the pressure falls as C A sqrt(rho_air/2) p_atm/V asks, with the hole as its rim has it: 1 %."""
     scene = foam(PAIR, 800, 0, punctures=(Puncture((2.0 * R, 0.0, 0.0), 0.0, 2e-4),), fps=5e4)
