@@ -39,8 +39,11 @@ HEADER, CHECKSUM = "header", "checksum"
 MOST_TOLD = 6
 """Numbers that differ of which a message tells."""
 
-MAY_CHANGE = ("dt", "material.", "surroundings.", "numerics.", "forces.")
+MAY_CHANGE = ("dt", "material.", "surroundings.", "numerics.", "forces.", "bursting.", "slow_")
 """Numbers of a scene that may change during a run, or what their names begin with."""
+
+OF_BURSTS = ("f.", "d.", "e.behind", "e.swept", "l.behind", "ids.d")
+"""Arrays, or what their names begin with, of scenes in which films may burst: there is nothing in them at the start."""
 
 STAY = ("material.thickness", "material.surfactant", "numerics.layers", "numerics.support", "numerics.skin")
 """Numbers among those that may not: they say how a run starts, or what its arrays are like."""
@@ -228,6 +231,8 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
     compare(path, header["scene"], scene, changed)
     shapes, arrays = declared(scene), _load_all(path, scene)
     try:
+        if changed:
+            _allow_bursts(header, arrays, scene)
         course = check_course(header["course"], scene)
         features = Features.of(scene, course.holed)
         film = check_film(header["film"], scene, features.closed and not features.foam)
@@ -236,7 +241,7 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
         if not course.labels:
             needed.discard("b.mirror")  # no film, no frame
         given = {name: array for name, array in arrays.items() if name in needed}
-        optional = {name for name in needed if changed and name.startswith("memory.")}
+        optional = {name for name in needed if changed and name.startswith(("memory.", *OF_BURSTS))}
         boundary = boundary_count(scene, film["spacing"])
         check_stored(given, shapes, needed - optional, course, scene, boundary)
         check_notices(header["notices"])
@@ -245,6 +250,21 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
     except InputError as error:
         raise InputError(f"checkpoint {path} does not fit: {error}") from None
     return Checkpoint(film, course, seen, header["notices"], header["run"], given)
+
+
+def _allow_bursts(header: dict, arrays: Mapping[str, np.ndarray], scene: Scene) -> None:
+    """Let a run go on as one with other punctures, of which those whose time has passed are none, and other tempo.
+
+    Raises:
+        InputError: the frames that are done would have ended at other times.
+    """
+    time, frame = (float(arrays.get(name, np.zeros(())).ravel()[:1].sum()) for name in ("time", "frame"))
+    then = scene.film_time(frame)
+    require(abs(then - time) <= 1e-6 * max(time, 1e-3), "slow_from", scene.slow_from, f"at least {time:.6g} s, by now")
+    if isinstance(header["course"], dict):
+        header["course"]["punctured"] = sum(one.time < time - 1e-12 for one in scene.bursting.punctures)
+        if not Features.of(scene).budget:
+            header["course"]["ledger"] = None
 
 
 def check_sum(path: str | os.PathLike) -> None:

@@ -188,6 +188,27 @@ def test_a_branch_starts_from_a_checkpoint_with_other_numbers(film, tmp_path, ca
     assert not (tmp_path / "other").exists()
 
 
+def test_a_branch_may_burst_in_slow_motion_and_goes_on_itself(tmp_path, capsys):
+    """Punctured after the checkpoint, slowed down from it on; ended early and resumed it comes to the same bytes."""
+    out, branch, again = (tmp_path / name for name in ("out", "branch", "again"))
+    small = ["--set", "e_count=200", "l_per_e=2"]
+    assert run("oscillating_bubble", out, "--frames", 2, *small) == 0
+    line = kills.log_of(out)[-1]
+    tempo = ["--set", f"slow_from={line['time']}", "slow_motion=20", "--puncture", f"0,0.03,0,{line['time']}"]
+    assert run("oscillating_bubble", branch, "--branch", out, "--frames", 8, *tempo) == 0
+    assert check_cache(branch) == []
+    log = kills.log_of(branch)
+    assert max(one["rims"] for one in log) == 1
+    assert log[1]["time"] - log[0]["time"] == pytest.approx(0.05 * line["time"] / 2.0, rel=1e-3)
+    assert run("oscillating_bubble", again, "--branch", out, "--frames", 6, *tempo) == 0
+    assert run("oscillating_bubble", again, "--resume", "--frames", 8) == 0
+    last = "frames/film.000008.usdc"
+    assert kills.files_of(again)[last] == kills.files_of(branch)[last]
+    late = ["--set", "slow_from=0.0001", "slow_motion=2"]
+    assert run("oscillating_bubble", tmp_path / "late", "--branch", out, "--frames", 4, *late) == 2
+    one_line(capsys, "slow_from must be at least")
+
+
 def test_a_folder_without_a_checkpoint(film, tmp_path, capsys):
     assert run(film[0], tmp_path / "none", "--resume") == 2
     one_line(capsys, "holds no checkpoint to go on from")
