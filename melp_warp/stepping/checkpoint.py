@@ -286,9 +286,8 @@ def _load_all(path: str | os.PathLike, scene: Scene | None, extras: Mapping | No
 def _extras_of(header: Mapping) -> dict[str, tuple[str, int]]:
     """Kind and dimensions of the arrays that a scene has brought along, as a header tells."""
     told = header.get("extras", {})
-    right = isinstance(told, dict) and all(
-        isinstance(one, list) and len(one) == 2 and one[0] in ("f", "i") and one[1] in (1, 2) for one in told.values()
-    )
+    known = [["f", 1], ["f", 2], ["f", 3], ["i", 1], ["i", 2], ["i", 3]]
+    right = isinstance(told, dict) and all(one in known for one in told.values())
     require(right, "extras", told, "kind and dimensions of arrays")
     return {name: (kind, ndim) for name, (kind, ndim) in told.items()}
 

@@ -9,6 +9,7 @@ import warp as wp
 from melp_warp import InputError, ParticleSet, Scene, Simulation, SimulationError, Sphere, Stage, load_scene
 from melp_warp.numerics import Numerics
 from melp_warp.stage import TABLE
+from melp_warp.stepping.checkpoint import check_sum
 from tests.physics.test_carried import at_once
 
 BUBBLE = Scene("bubble", Sphere(0.03), 150, 2)
@@ -24,7 +25,11 @@ def count(rows: wp.array(dtype=wp.int32)):
 class Counter(Stage):
     """Counts the steps."""
 
-    name, after, remembers = "counter", "advance_e", {"steps": (wp.int32, 1), "of_l": (wp.vec3, "l")}
+    name, after, remembers = (
+        "counter",
+        "advance_e",
+        {"steps": (wp.int32, 1), "of_l": (wp.vec3, "l"), "turn": (wp.mat33, "e")},
+    )
 
     def run(self):
         self.film.launch_one(count, [], [self.remembered("steps")])
@@ -90,6 +95,7 @@ def test_sets_outlive_changes_of_regions(device):
 def test_a_checkpoint_of_other_particles_is_of_another_scene(device, tmp_path):
     scene = replace(BUBBLE, stages=[Counter], sets=[DUST])
     Simulation(scene).save_checkpoint(tmp_path / "c.npz")
+    check_sum(tmp_path / "c.npz")
     again = Simulation(scene, checkpoint=tmp_path / "c.npz")
     assert again.state.sets["Dust"]["u"].numpy() == pytest.approx(np.ones((5, 3)))
     for other in ({"sets": ()}, {"stages": ()}, {"sets": [replace(DUST, width=2e-3)]}):
