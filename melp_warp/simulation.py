@@ -401,6 +401,8 @@ class Simulation:
             change(stored)
             if self.burst is None or not self.burst.take(stored):
                 self._set_up(stored)
+            if self.burst is not None:
+                self.burst.begin()
 
     def _due(self) -> Callable[[Stored], None] | None:
         """What is to change now: holes first; None for nothing."""
@@ -420,8 +422,6 @@ class Simulation:
         self.stepper.wall = wall
         if self.film.features.foam and not self.gone:
             self.state.course.reach = self._longest_way()
-        if self.burst is not None:
-            self.burst.begin()
         if self.stepper.budget is not None:
             self.ledger.open(self._weighed())
 

@@ -84,7 +84,7 @@ class Burst:
         return RIM_CFL * sim.film.spacing / speed if speed > 0.0 else np.inf
 
     def begin(self) -> None:
-        """Once the run is set up anew: the rim of a new hole takes what was there."""
+        """After a change: the rim of a new hole takes what was there."""
         sim, first = self._sim, self._opened
         self._opened = None
         if first is not None:

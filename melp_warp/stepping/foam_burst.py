@@ -80,12 +80,28 @@ class FoamBurst(Burst):
         return self._hole_in(event, (k, other), self._sheet(k) & self._shared() & between)
 
     def release(self, stored: Stored, k: int) -> None:
-        """Let the rims on the film of region k, which is about to go, be drops."""
-        rims = Rims.of(stored.arrays)
-        gone = (rims.point["region"] == k) | (rims.point["other"] == k)
+        """Let the rims on the free film of region k, which is about to go, be drops.
+
+        Those on its partitions run on over the films beyond: these are free films now, and their bubbles are open.
+        """
+        arrays, label = stored.arrays, stored.labels[k]
+        rims = Rims.of(arrays)
+        gone = (rims.point["region"] == k) & (rims.point["other"] < 0)
         if gone.any():
             self._spray(stored, rims.cut(gone, gone, 0.0))
-            rims.store(stored.arrays)
+            rims.store(arrays)
+        region, other = arrays["f.region"], arrays["f.other"]
+        turned = (region == k) & (other >= 0)  # seen from the other side from now on
+        arrays["f.normal"][turned] *= -1.0
+        after, before = arrays["f.after"], arrays["f.before"]
+        after[turned], before[turned] = before[turned], after[turned]
+        region[turned] = other[turned]
+        other[turned | (other == k)] = -1
+        beyond = [[*(set(one) - {label}), -1] for one in stored.tears if label in one and -1 not in one]
+        for one in beyond:
+            arrays["gas"][stored.labels.index(one[0]), AMOUNT] = 0.0
+            if one not in stored.tears:
+                stored.tears.append(one)
 
     def release_between(self, stored: Stored, k: int, other: int, partition: dict[str, np.ndarray]) -> None:
         """Let the rims on a partition that is about to go leave their liquid to the film around.

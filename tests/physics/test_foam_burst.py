@@ -117,6 +117,35 @@ def test_two_torn_bubbles_become_one_and_a_torn_partition_goes(l_per_e):
     assert liquid(simulation) == pytest.approx(start, rel=1e-6)
 
 
+@pytest.mark.parametrize(("l_per_e", "popped"), [(0, 0), (2, 0), (0, 1)])
+def test_a_bubble_goes_whose_partition_is_torn(l_per_e, popped):
+    """The hole in it is one in the other bubble now: its rim runs on, the gas leaves and all ends as drops."""
+    events = [Merge(0.0302, 0, 1), Pop(0.0306, popped, delete=True)]
+    simulation, left = Simulation(foam(PAIR, 400, l_per_e, events)), 1 - popped
+    start = liquid(simulation)
+    while simulation.time < 0.0305:
+        simulation.advance_frame()
+    assert simulation.film.labels == (left,) and simulation.state.course.tears == [[left, -1]]
+    assert simulation.state.gas.numpy()[0, AMOUNT] == 0.0
+    began = simulation.diagnostics()["rim_length"]
+    for _ in range(10):
+        assert liquid(simulation) == pytest.approx(start, rel=1e-6)
+        simulation.advance_frame()
+        if simulation.time < 0.0325:
+            assert simulation.diagnostics()["rim_length"] > began  # it runs away from the hole
+    assert simulation.gone
+
+
+def test_a_second_hole_in_a_torn_film_takes_what_was_there():
+    """Its rim has the liquid of the hole from the start, and is not found by a later change."""
+    holes = (Puncture((0.0, R, 0.0), 0.0, 0.3 * R), Puncture((0.0, -R, 0.0), 0.0, 0.3 * R))
+    simulation = Simulation(foam((Bubble((0.0, 0.0, 0.0), R),), 400, 0, punctures=holes, fps=1e6))
+    simulation.advance_frame()
+    y = simulation.state.f.x.numpy()[:, 1]
+    for held in (simulation.state.f.mass.numpy(), simulation.state.f.inertia.numpy()):
+        assert held[y < 0.0].sum() == pytest.approx(held[y > 0.0].sum(), rel=0.3)
+
+
 def test_two_bubbles_end_at_once_without_air():
     """What is left of one that ends right after another gets its momentum, a number."""
     scene = foam(TRIPLE, 450, 0, [Pop(0.0005, 1), Pop(0.0005, 2)])
