@@ -323,8 +323,8 @@ def _add_measure(commands: argparse._SubParsersAction) -> None:
 def _add_report(commands: argparse._SubParsersAction) -> None:
     report = commands.add_parser(
         "report",
-        help="print and draw the energy budget of a run",
-        description="Print the energy budget of a run and draw it as budget.png (needs matplotlib).",
+        help="print and draw the energy budget of a run, print the grain of its frames",
+        description="Print the energy budget of a run and the grain of its frames; draw budget.png (needs matplotlib).",
     )
     report.add_argument("folder", metavar="DIR", type=_path, help="folder that a run wrote")
     report.set_defaults(command=_report_budget)
@@ -527,10 +527,11 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def _report_budget(options: argparse.Namespace) -> int:
-    from melp_warp.program.report import draw_budget, print_budget, read_budget
+    from melp_warp.program.report import draw_budget, print_budget, print_grain, read_budget, read_grain
 
     lines = read_budget(options.folder)
     print_budget(lines)
+    print_grain(read_grain(options.folder))
     print(draw_budget(lines, options.folder / "budget.png"))
     return OK
 

@@ -118,7 +118,7 @@ def _common_defaults(foam: bool) -> dict[str, Value]:
         "gravity": 0.0,
         **{name: getattr(surroundings, name) for name in _SURROUNDINGS},
         **{"e_count": 2000, "l_per_e": 16, "seed": 0, "frames": 100, "fps": 60.0, "dt": None},
-        **{"slow_motion": 1.0, "slow_from": 0.0, "slow_until": None},
+        **{"slow_motion": 1.0, "slow_from": 0.0, "slow_until": None, "show": "nothing"},
         **{name: getattr(numerics, name) for name in of_numerics},
         **{name: getattr(bursting, name) for name in _BURSTING},
     }

@@ -13,7 +13,7 @@ from melp_warp.bursting import Bursting
 from melp_warp.carried import Carried
 from melp_warp.cluster import Cluster
 from melp_warp.errors import require
-from melp_warp.keys import Key, at_least_zero, check_numbers, count, positive, quantity
+from melp_warp.keys import Key, at_least_zero, check_numbers, count, positive, quantity, word
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.particle_set import ParticleSet, check_sets
@@ -33,6 +33,10 @@ MOST_FRAMES = 999_999
 
 PointField = Callable[[np.ndarray], np.ndarray]
 """A field given by a function of points: [n, 3] (m) -> [n] or [n, 3], SI."""
+
+
+SHOWN = ("nothing", "circulation")
+"""What `Scene.show` may be."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,7 @@ class Scene:
         opening: area of a hole that is held open and through which gas leaves, m^2.
         slow_motion: how many times slower than usual time runs from frame to frame, from `slow_from` to `slow_until`.
         dt: None for a step set by `numerics.cfl`.
+        show: "circulation" for a primvar of it, m^2/s; it changes nothing else.
         budget: whether the energy budget is kept (`melp_warp.stepping.budget`); it changes nothing else.
     """
 
@@ -106,6 +111,7 @@ class Scene:
         Key("s", "film time at which slow motion ends (auto: with the run)", 0.0, 1e6, auto=True, spoken="ms"), None
     )
     seed: int = quantity(count("seed of everything random", 0, 2**31 - 1), 0)
+    show: str = quantity(word("what L carry that the cache shows besides", SHOWN), "nothing")
     budget: bool = True
 
     def __post_init__(self):
@@ -135,6 +141,12 @@ class Scene:
             damping = self.surroundings.damping
             require(damping == 0.0, "damping", damping, "0 for a single film: it is of foams")
 
+    @property
+    def shown(self) -> dict[str, str]:
+        """Names and units of what the cache shows of E and L besides what any has."""
+        circulation = {"circulation": "m^2/s"} if self.show == "circulation" else {}
+        return {one.name: one.unit for one in self.carried} | circulation
+
     def _check_carried(self) -> None:
         """Refuse what nothing carries."""
         object.__setattr__(self, "carried", tuple(self.carried))
@@ -145,6 +157,10 @@ class Scene:
         require(
             not (names and self.bursts), "carried", names, "none for a film that may burst, Pop(..., delete=True) aside"
         )
+        if self.show != "nothing":
+            there = self.l_per_e > 0 and self.numerics.carrier == "circulation" and "circulation" not in names
+            require(there, "show", self.show, "nothing where L do not carry it: carrier=circulation")
+            require(not self.bursts, "show", self.show, "nothing for a film that may burst")
 
     def _check_gas(self) -> None:
         """Refuse gas that no film holds, or that does not say when how much there is."""

@@ -463,7 +463,7 @@ class Simulation:
         if which in self.state.sets:
             return self._set(which)
         if self.gone:
-            return ParticleFrame.empty(tuple(self.origin.tolist()), [one.name for one in self.scene.carried])
+            return ParticleFrame.empty(tuple(self.origin.tolist()), list(self.scene.shown))
         n = self.film.n_l if which == "l" else self.film.n_e
         if which == "l":
             lag = self.state.l
@@ -509,15 +509,21 @@ class Simulation:
         )
 
     def _carried(self, which: str, area: np.ndarray) -> dict[str, np.ndarray]:
-        """What the scene declares, of particles with these areas (m^2), in its units."""
-        carried, state, carriage = self.scene.carried, self.state, self.stepper.carriage
-        if not carried:
+        """What the scene declares or wants shown, of particles with these areas (m^2), in its units."""
+        scene, state, stepper = self.scene, self.state, self.stepper
+        if not scene.shown:
             return {}
         if which == "l":
-            return {one.name: one.shown(state.carried[one.name].numpy(), area, state.l.mass.numpy()) for one in carried}
-        self.stepper.transfer.normalize()
-        mass = carriage.gather_mass().numpy()
-        return {one.name: one.shown(carriage.gather(one.name).numpy(), area, mass) for one in carried}
+            held, mass = {**state.carried, "circulation": state.l.circulation}, state.l.mass.numpy()
+        else:
+            stepper.transfer.normalize()
+            held = {one.name: stepper.carriage.gather(one.name) for one in scene.carried}
+            mass = stepper.carriage.gather_mass().numpy() if scene.carried else None
+            if "circulation" in scene.shown:
+                stepper.circulation.gather()
+                held["circulation"] = stepper.circulation.carried
+        found = {one.name: one.shown(held[one.name].numpy(), area, mass) for one in scene.carried}
+        return found | {name: held[name].numpy() for name in scene.shown if name not in found}
 
     def _e_velocity(self) -> np.ndarray:
         """[n_e, 3] m/s at which the E themselves move, (19): with the surface, while the liquid flows past them."""

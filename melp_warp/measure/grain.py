@@ -24,6 +24,7 @@ def grain(points: np.ndarray, normals: np.ndarray, thickness: np.ndarray, region
     Returns:
         A plain number; 0 where the thickness is even or there are too few L.
     """
+    points, normals, thickness = (np.asarray(a, dtype=np.float64) for a in (points, normals, thickness))
     spread = float(np.std(thickness))
     if spread <= 1e-6 * abs(float(np.mean(thickness))) or len(points) <= NEAREST:
         return 0.0

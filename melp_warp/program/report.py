@@ -1,4 +1,4 @@
-"""`melp-warp report`: the energy budget of a run as a table and as a picture (docs/energy.md)."""
+"""`melp-warp report`: the energy budget of a run (docs/energy.md), and the grain of its frames (docs/vortices.md)."""
 
 from __future__ import annotations
 
@@ -26,6 +26,34 @@ def read_budget(folder: Path) -> list[dict]:
     lines = [frame["budget"] for frame in frames if "start" in frame.get("budget", {})]
     require(bool(lines), "DIR", str(folder), "a run of at least one frame that kept an energy budget")
     return lines
+
+
+LOOKED_AT = 11
+"""Frames of a cache of which the grain is measured, evenly spread from the first to the last."""
+
+
+def read_grain(folder: Path) -> list[tuple[int, float]]:
+    """Frames of a cache of L and the grain of each (docs/vortices.md); none where it has no L.
+
+    Raises:
+        InputError: a file of the cache cannot be read.
+    """
+    from melp_warp.measure.grain import grain
+    from melp_warp.usd.apart import read_frame, read_root
+    from melp_warp.usd.cache import list_frames
+
+    frames = list_frames(folder)
+    if not frames or not read_root(folder)["with_l"]:
+        return []
+    chosen = sorted({frames[round(k * (len(frames) - 1) / (LOOKED_AT - 1))] for k in range(LOOKED_AT)})
+    found = ((number, read_frame(folder, number)) for number in chosen)
+    return [(number, grain(f.points, f.normals, f.thickness, f.region)) for number, f in found]
+
+
+def print_grain(found: Sequence[tuple[int, float]]) -> None:
+    """Print the grain of frames."""
+    if found:
+        print("grain: " + ", ".join(f"{100.0 * amount:.1f} % in frame {number}" for number, amount in found))
 
 
 def print_budget(lines: Sequence[dict]) -> None:

@@ -51,7 +51,7 @@ class UsdWriter:
             origin=origin,
             rims=rims,
             packed=packed,
-            carried={one.name: one.unit for one in plan.scene.carried},
+            carried=plan.scene.shown,
             there=there,
         )
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from melp_warp.cli import main
 from melp_warp.material import Material, Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene
@@ -11,6 +12,8 @@ from melp_warp.shapes import Disc, Jittered, Rectangle, Sphere, displaced_sphere
 from melp_warp.simulation import Simulation
 from melp_warp.study import validation as v
 from melp_warp.study import vortex_validation as vv
+from melp_warp.usd.cache import read_frame
+from melp_warp.usd.check import check_cache
 from tests.helpers import make_stepper
 
 CARRIED = Numerics(carrier="circulation")
@@ -237,3 +240,20 @@ def test_a_bubble_on_which_vortices_run_does_not_drive_itself():
     assert fine["flown"] < min(0.04, 0.7 * coarse["flown"])
     assert fine["error"] == pytest.approx(0.0, abs=0.02)
     assert fine["apart"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_cache_shows_circulation_on_request(tmp_path):
+    """A primvar of L and E, in m^2/s; where L carry none, or the film may burst, asking for it is refused."""
+    folder, shown = tmp_path / "run", ["e_count=300", "l_per_e=4", "show=circulation"]
+    options = ["--frames", "1", "--quiet", "--export", "both", "--out", str(folder)]
+    assert main(["run", "stirred_disc", "--set", *shown, *options]) == 0
+    values = {"e_count": 300, "l_per_e": 4, "show": "circulation"}
+    script = load_scene("stirred_disc")
+    simulation = Simulation(script.build(script.parameters.values(values)))
+    simulation.advance_frame()
+    film, sparse = read_frame(folder, 1), read_frame(folder, 1, "FilmE")
+    held = f64(simulation.state.l.circulation)
+    np.testing.assert_allclose(np.sort(film.carried["circulation"]), np.sort(held), atol=1e-6 * np.abs(held).max())
+    assert sparse.carried["circulation"].sum() == pytest.approx(held.sum(), abs=1e-4 * np.abs(held).sum())
+    assert check_cache(folder) == []
+    assert main(["run", "equilibrium", "--set", "show=circulation", "--out", str(tmp_path / "none")]) == 2

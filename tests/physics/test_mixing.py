@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from melp_warp.cli import main
 from melp_warp.material import Material
 from melp_warp.measure.grain import grain
 from melp_warp.numerics import Numerics
+from melp_warp.program.report import read_grain
 from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.shapes import Disc, Rectangle, Sphere
@@ -104,6 +106,25 @@ def test_nothing_mixes_where_nothing_shears(turn):
     for _ in range(60):
         simulation.advance_frame()
     assert amplitude(simulation, wave, inner) == pytest.approx(start, rel=0.01)
+
+
+def test_report_tells_the_grain_of_frames(tmp_path, capsys):
+    """Of each frame up to eleven what `grain` finds in the simulation, to what the cache rounds."""
+    folder = tmp_path / "run"
+    options = ["e_count=300", "l_per_e=8", "whirls=2"]
+    assert main(["run", "turbulent_film", "--set", *options, "--frames", "2", "--quiet", "--out", str(folder)]) == 0
+    script = load_scene("turbulent_film")
+    simulation = Simulation(script.build(script.parameters.values({"e_count": 300, "l_per_e": 8, "whirls": 2})))
+    expected = [grain_of(simulation)]
+    for _ in range(2):
+        simulation.advance_frame()
+        expected.append(grain_of(simulation))
+    found = read_grain(folder)
+    assert [frame for frame, _ in found] == [0, 1, 2]
+    assert [amount for _, amount in found] == pytest.approx(expected, abs=2e-3)
+    capsys.readouterr()
+    main(["report", str(folder)])
+    assert f"{100.0 * found[2][1]:.1f} % in frame 2" in capsys.readouterr().out
 
 
 def test_absent_where_it_is_not_asked_for():
