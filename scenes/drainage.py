@@ -25,7 +25,7 @@ PARAMETERS = declare(
     drag=0.02,
     e_count=1200,
     l_per_e=16,
-    frames=150,
+    frames=36,
     fps=60.0,
 )
 

@@ -22,8 +22,8 @@ PARAMETERS = declare(
     drag=0.05,
     e_count=1050,
     l_per_e=16,
-    frames=150,
-    fps=30.0,
+    frames=36,
+    fps=120.0,
 )
 
 

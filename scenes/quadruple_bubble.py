@@ -20,7 +20,7 @@ PARAMETERS = declare(
     thickness=400e-9,
     e_count=3200,
     l_per_e=16,
-    frames=90,
+    frames=45,
     fps=60.0,
 )
 

@@ -18,13 +18,13 @@ FIGURES = Path(__file__).parent.parent / "docs" / "figures"
 
 SHEETS = {
     "giant_bubble": (["--set", "l_per_e=32", "e_count=2000", "--frames", "240"], (0, 20, 60, 120, 180, 240)),
-    "drainage": ([], (0, 5, 10, 20, 40, 150)),
-    "equilibrium": (["--fps", "120", "--frames", "60"], (0, 1, 2, 4, 10, 60)),
+    "drainage": ([], (0, 3, 6, 10, 20, 36)),
+    "equilibrium": ([], (0, 1, 2, 4, 10, 36)),
     "taylor_vortices": ([], (0, 40, 80, 120, 160, 192)),
     "oscillating_bubble": ([], (0, 5, 10, 15, 20, 25)),
     "double_bubble": (["--set", "e_count=1000", "--frames", "60"], (0, 8, 15, 30, 45, 60)),
     "four_bubbles": (["--set", "e_count=1600", "l_per_e=4"], (0, 15, 40, 70, 90, 120)),
-    "quadruple_bubble": (["--set", "e_count=1600", "l_per_e=8"], (10, 30, 90)),
+    "quadruple_bubble": (["--set", "e_count=1600", "l_per_e=8"], (10, 25, 45)),
     "cluster": (["--set", "e_count=2600", "l_per_e=4"], (0, 20, 60)),
     "foam_mountain": (["--set", "e_count=2000", "bubbles=8"], (20, 50, 90)),
     "film_burst": ([], (5, 40, 80)),

@@ -128,6 +128,8 @@ def test_every_key_can_be_set_and_changes_the_scene(name):
     for key, value in script.parameters.defaults.items():
         if name in BURSTS and key == "layers":
             continue  # a single layer does not burst
+        if key == "show" and script.parameters.defaults["carrier"] != "circulation":
+            continue  # there is nothing to show
         changed = other(script.parameters.keys[key], base.get(key, value))
         text = "auto" if changed is None else str(changed)
         values = script.parameters.values(base | script.parameters.parse([f"{key}={text}"]))
@@ -258,7 +260,7 @@ def test_equilibrium_holds_surfactant_in_proportion():
     points = scene.shape.sample(3000).points
     np.testing.assert_allclose(scene.concentration(points) / 1e-7, scene.thickness(points) / 400e-9, rtol=1e-12)
     assert scene.thickness(points).std() > 0.1 * 400e-9
-    assert scene.frames / scene.fps == pytest.approx(5.0)
+    assert scene.frames / scene.fps == pytest.approx(0.3)
 
 
 def test_taylor_vortices_have_the_published_vorticity():
