@@ -44,7 +44,7 @@ class Mixing:
             course.mixed, course.unmixed = self.state.time, 0.0
         course.unmixed += self.lists.fastest * dt
 
-    def apply(self, dt: wp.array | None = None) -> None:
+    def apply(self) -> None:
         """Let L mix for the time since they last did, whatever the step to come; follows the lists."""
         lag, more = self.state.l, self.carriage
         for name in more.of_e if more is not None else ():

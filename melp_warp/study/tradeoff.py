@@ -72,6 +72,11 @@ KNOBS: Mapping[str, Mapping[str, Quality]] = MappingProxyType(
             **{f"flip {f:g}": Quality(keys={"flip": f}) for f in (0.0, 0.5, 0.9, 1.0)},
             "FLIP": Quality(keys={"affinity": 0.0, "flip": 1.0}),
         },
+        "carrier": {
+            "apic, mixing 2": Quality(keys={"mixing": 2.0}),
+            "circulation": Quality(keys={"carrier": "circulation"}),
+            "circulation, mixing 2": Quality(keys={"carrier": "circulation", "mixing": 2.0}),
+        },
         "redistribution": _keys({"redistribution": 0.0}, {"redistribution": 0.5}),
         "precision": _keys({"precision": 64}),
         "layers": {
@@ -97,6 +102,7 @@ MEANING: Mapping[str, str] = MappingProxyType(
         "solver": "solver of (14), iterations at most",
         "skin": "skin of the lists, E spacings",
         "transfer": "transfer between E and L",
+        "carrier": "what L carry vortices by, and mixing",
         "redistribution": "strength of the E redistribution",
         "precision": "bits of a number",
         "layers": "one layer in place of two, explicit, in steps of an eighth; the cases have four L an E",
@@ -234,7 +240,20 @@ def _double_bubble(e_count: int, l_per_e: int, dt: None, **_) -> tuple[float, di
     return found["error"], {**took, "mass_error": 0.0, "volume_error": found["volume_drift"]}
 
 
-_FLOW = ("e", "l", "step", "flow", "support", "tolerance", "solver", "skin", "transfer", "precision", "layers")
+_FLOW = (
+    "e",
+    "l",
+    "step",
+    "flow",
+    "support",
+    "tolerance",
+    "solver",
+    "skin",
+    "transfer",
+    "carrier",
+    "precision",
+    "layers",
+)
 
 CASES: Mapping[str, Case] = MappingProxyType(
     {
@@ -285,7 +304,7 @@ CASES: Mapping[str, Case] = MappingProxyType(
             "peak vorticity lost or gained, share",
             _own(1600, 4, flip=0.95),
             _pair,
-            ("support", "transfer", "precision"),
+            ("support", "transfer", "carrier", "precision"),
         ),
         "double_bubble": Case(
             "Two bubbles that meet, 0.25 s; E on each",
