@@ -76,6 +76,7 @@ def all_fields(scene):
     """What a scene comes to, in numbers: its settings, and its shape and initial fields at fixed points."""
     points = scene.shape.sample(400).points
     found = {f.name: getattr(scene, f.name) for f in dataclasses.fields(scene) if f.name != "shape"}
+    found["air_model"] = type(found["air_model"])  # which has no numbers
     if isinstance(scene.shape, Cluster):
         found["cluster"] = scene.shape
     for name in ("thickness", "concentration", "velocity"):
