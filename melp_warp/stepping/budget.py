@@ -112,7 +112,7 @@ class Reading:
         flows: what all steps but the last have done, J.
         weighed: terms that are summed up on the host's word alone, by `Budget.weigh`, J.
         rim: energy that the rim has taken, of motion and of all else, J.
-        liquid: that of the border included, kg.
+        liquid: that of the border and what was spilled included, kg.
         surfactant: on one interface, mol.
         momentum: [3] of the liquid and of what the rim has taken, kg m/s.
         impulse: [3] of outside forces in all steps but the last, kg m/s.
@@ -430,7 +430,7 @@ class Budget:
             *(_sums(values) for values in (stored, opened, flow)),
             weighed=weighed,
             rim=tuple(taken[5:].tolist()),
-            liquid=liquid + float(taken[0]),
+            liquid=liquid + float(taken[0]) + self.state.course.spilled,
             surfactant=surfactant + float(taken[1]),
             momentum=np.array(lying[3:]) + taken[2:5],
             impulse=flow[kb.IMPULSE : kb.IMPULSE + 3].copy(),

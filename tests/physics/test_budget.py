@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from melp_warp.cli import main
-from melp_warp.cluster import Bubble, Cluster
+from melp_warp.cluster import Bubble, Cluster, Pop
 from melp_warp.features import Features
 from melp_warp.material import Material, Surroundings
 from melp_warp.registry import load_scene, scene_names
@@ -319,6 +319,17 @@ def test_a_bubble_of_vortices_adds_up():
         simulation.advance_frame()
     assert simulation.ledger.flows["membrane"] > 0.005 * simulation.ledger.moved
     assert simulation.ledger.share < 0.002
+
+
+def test_liquid_that_is_spilled_is_no_loss():
+    """Half of a pair is deleted with its free film: the liquid that goes with it is counted."""
+    bubbles = tuple(Bubble((side * R, 0.0, 0.0), R) for side in (-1, 1))
+    made = Scene("pair", Cluster(bubbles, events=(Pop(0.01, 0, delete=True),)), 400, 2, fps=60.0)
+    simulation = Simulation(made)
+    for _ in range(3):
+        simulation.advance_frame()
+    assert simulation.spilled > 0.2 * simulation.diagnostics()["mass"]
+    assert abs(simulation.ledger.balance["liquid"]) < 1e-5
 
 
 def test_every_scene_has_a_case():
