@@ -10,7 +10,7 @@ it holds, `mass`, is counted particle by particle, in float64; the one follows t
 
 import warp as wp
 
-from melp_warp.kernels.drag import sphere_drag
+from melp_warp.kernels.drag import PI, sphere_drag
 
 wp.set_module_options({"enable_backward": False})
 
@@ -297,7 +297,7 @@ def pull_rim_f(
     grown = m + swept * dt * wp.max(speed, 0.0)
     u[k] = flow[k] + push / wp.max(grown, 1.0e-30)
     inertia[k] = grown + follow * (float(mass[k]) - grown)
-    a = wp.sqrt(grown / (wp.PI * density * wp.max(width, 1.0e-9)))
+    a = wp.sqrt(grown / (PI * density * wp.max(width, 1.0e-9)))
     if a > 0.0:
         growth[k] = growth[k] + dt * 0.3433 * wp.sqrt(sigma / (density * a * a * a))
 
@@ -512,7 +512,7 @@ def fly_d(
     i = wp.tid()
     rate = float(0.0)
     if air > 0.0:
-        radius = wp.pow(3.0 * mass[i] / (4.0 * wp.PI * density), 1.0 / 3.0)
+        radius = wp.pow(3.0 * mass[i] / (4.0 * PI * density), 1.0 / 3.0)
         rate = sphere_drag(wp.length(u[i]), radius, air) / mass[i]
     new = (u[i] + dt * gravity) / (1.0 + dt * rate)
     x[i] = x[i] + 0.5 * dt * (u[i] + new)

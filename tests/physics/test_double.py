@@ -149,6 +149,12 @@ def test_snippets_are_rewritten():
         double.double_snippet("wp::float32 a;")
 
 
+def test_kernels_take_no_constants_of_warp():
+    """Those are float32 in either precision, and do not multiply with float64."""
+    found = [path.name for path in Path(runs.kernels.__path__[0]).glob("*.py") if "wp.pi" in path.read_text().lower()]
+    assert not found
+
+
 def test_other_precisions_are_refused(monkeypatch):
     monkeypatch.setenv(double.VARIABLE, "16")
     with pytest.raises(InputError, match="MELP_WARP_PRECISION must be 32 or 64, got '16'"):
