@@ -248,9 +248,12 @@ def test_frames_without_a_look(monkeypatch):
 
 
 def test_a_step_is_captured_anew_where_regions_change(monkeypatch):
-    """A bubble pops in mid-frame: two graphs before and two after, and the bits of a run that has none."""
+    """A bubble pops in mid-frame: two graphs before and two after, and the bits of a run that has none.
+
+    With so thin a skin both build lists in every step; else one that sees distances late builds them at other times.
+    """
     shape = Cluster(row(3).bubbles, events=(Pop(0.012, 2, delete=True),))
-    scene = Scene("graph", shape, 450, 2, numerics=Numerics(support=3.0), dt=1.0 / 960.0)
+    scene = Scene("graph", shape, 450, 2, numerics=Numerics(support=3.0, skin=0.1), dt=1.0 / 960.0)
     plain = Simulation(scene)
     plain.advance_frame()
     graphs, capture = [], wp.ScopedCapture
