@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from melp_warp.kernels.native import Blocks, exchange_blocks, write_held
+from melp_warp.kernels.native import Blocks, exchange_blocks, vec5, write_held, write_rate
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.sph import tangent_basis
 
@@ -16,6 +16,9 @@ SPREAD = wp.constant(0.1886)
 
 MOST = wp.constant(0.4)
 """Largest C |S| t of a pass: an L then gives away 0.7 of what it has, in exchange."""
+
+LEFT = wp.constant(0.05)
+"""Share of its liquid that an L keeps at least; one that would keep less does not mix."""
 
 LEAST = wp.constant(1.0e-4)
 """C |S| t below which L do not mix."""
@@ -93,7 +96,7 @@ def give_held_l(
 
 
 @wp.kernel
-def mix_l(
+def find_exchange_l(
     x_e: wp.array(dtype=wp.vec3),
     home: wp.array(dtype=wp.int32),
     place: wp.array(dtype=wp.int32),
@@ -103,17 +106,16 @@ def mix_l(
     pack: wp.array(dtype=float),
     held: wp.array(dtype=wp.vec4),
     spacing: float,
+    again: int,
+    spent: wp.array(dtype=wp.int32),
     # outputs
-    u: wp.array(dtype=wp.vec3),
-    mass: wp.array(dtype=float),
-    surfactant: wp.array(dtype=float),
-    eta: wp.array(dtype=float),
+    found: wp.array(dtype=vec5),
 ):
-    """Exchange liquid and surfactant between near L, as much as diffusion of D = C d^2 |S| does in the time given.
+    """What near L exchange of liquid and surfactant: as much as diffusion of D = C d^2 |S| does in the time given.
 
     A pair i, j exchanges k a (q_j - q_i), q the mass and the surfactant a unit of area, a the harmonic mean of their
     areas, and with the mass their mean velocity: both see the same, so that liquid, surfactant and momentum stay to
-    rounding, and so do the areas. It goes by the smaller of their two rates.
+    rounding. It goes by the smaller of their two rates.
 
     Args:
         x_e: [n] E, m.
@@ -125,18 +127,70 @@ def mix_l(
         pack: from `give_held_l`.
         held: [n_l] from `give_held_l`.
         spacing: d of L, m.
+        again: 1 to find it anew where some are `spent`, else to leave it.
+        spent: [1] see `spare_l`.
+        found: [n_l] what each gets: mass (kg), surfactant (mol) and the mass times the other's velocity (kg m/s).
+    """
+    i = wp.tid()
+    if again == 1 and spent[0] == 0:
+        return
+    mine = held[i]
+    got = vec5()
+    if mine[1] > 0.0 and place[i] < block.start[block.start.shape[0] - 2]:
+        got = 2.0 * SPREAD * exchange_blocks(home[i], x[i], mine, x_e, pack, block, rows, REACH * spacing)
+    found[i] = got
+
+
+@wp.kernel
+def spare_l(
+    place: wp.array(dtype=wp.int32),
+    mass: wp.array(dtype=float),
+    found: wp.array(dtype=vec5),
+    # outputs
+    held: wp.array(dtype=wp.vec4),
+    pack: wp.array(dtype=float),
+    spent: wp.array(dtype=wp.int32),
+):
+    """Let L that would give more than they have, in a crowd, not mix in this pass.
+
+    Args:
+        place: [n_l] place of each L.
+        mass: [n_l] kg.
+        found: [n_l] from `find_exchange_l`.
+        held: [n_l] from `give_held_l`.
+        pack: the same by places.
+        spent: [1] whether there are any.
+    """
+    i = wp.tid()
+    if mass[i] + found[i][0] < LEFT * mass[i]:
+        held[i] = wp.vec4(held[i][0], 0.0, held[i][2], held[i][3])
+        write_rate(place[i], 0.0, pack)
+        spent[0] = 1
+
+
+@wp.kernel
+def mix_l(
+    found: wp.array(dtype=vec5),
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
+):
+    """Give L what they get; their areas stay.
+
+    Args:
+        found: [n_l] from `find_exchange_l`.
         u: [n_l] m/s.
         mass: [n_l] kg.
         surfactant: [n_l] mol.
         eta: [n_l] m.
     """
     i = wp.tid()
-    mine = held[i]
-    if mine[1] > 0.0 and place[i] < block.start[block.start.shape[0] - 2]:
-        found = 2.0 * SPREAD * exchange_blocks(home[i], x[i], mine, x_e, pack, block, rows, REACH * spacing)
-        whole = mass[i] + found[0]
-        if whole > 0.0:
-            u[i] = (mass[i] * u[i] + 0.5 * (wp.vec3(found[2], found[3], found[4]) + found[0] * u[i])) / whole
-            eta[i] = eta[i] * whole / mass[i]
-            mass[i] = whole
-            surfactant[i] = surfactant[i] + found[1]
+    got = found[i]
+    whole = mass[i] + got[0]
+    if wp.dot(got, got) > 0.0:
+        u[i] = (mass[i] * u[i] + 0.5 * (wp.vec3(got[2], got[3], got[4]) + got[0] * u[i])) / whole
+        eta[i] = eta[i] * whole / mass[i]
+        mass[i] = whole
+        surfactant[i] = surfactant[i] + got[1]

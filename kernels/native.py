@@ -660,6 +660,12 @@ def write_held(place: int, x: wp.vec3, held: wp.vec4, u: wp.vec3, pack: wp.array
 
 
 @wp.func
+def write_rate(place: int, rate: float, pack: wp.array(dtype=float)):
+    """Change the rate of what `write_held` has written."""
+    pack[80 * (place / 8) + place % 8 + 8 * 4] = rate
+
+
+@wp.func
 def write_pack(place: int, x: wp.vec3, m: wp.vec3, s: wp.vec3, slope: wp.mat33, pack: wp.array(dtype=float)):
     """Write the eighteen numbers of the point at `place` for `gather_blocks`."""
     at = 144 * (place / 8) + place % 8

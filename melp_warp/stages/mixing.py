@@ -6,9 +6,10 @@ import math
 
 import warp as wp
 
-from melp_warp.device.launch import Shared
+from melp_warp.device.launch import Shared, clear
 from melp_warp.device.scalars import Setting
 from melp_warp.kernels import mixing as kx
+from melp_warp.kernels.native import vec5
 from melp_warp.stages.carriage import Carriage
 from melp_warp.stages.film import Film
 from melp_warp.stages.neighbors import NeighborLists
@@ -33,6 +34,7 @@ class Mixing:
         self.film, self.state, self.lists, self.carriage = film, state, lists, carriage
         self.due, self._time = False, Setting(film.device)
         self._pack, self._held = film.zeros(80 * math.ceil(film.n_l / 8)), film.zeros(film.n_l, wp.vec4)
+        self._found, self._spent = film.zeros(film.n_l, vec5), film.zeros(1, wp.int32)
         self._spacing = film.spacing * math.sqrt(film.n_e / film.n_l)
 
     def prepare(self, dt: float) -> None:
@@ -64,11 +66,22 @@ class Mixing:
             ],
             [Shared(self._pack), self._held],
         )
-        film.launch_l(
-            kx.mix_l,
+        u, mass, *rest = held
+        clear(self._spent)
+        self._find(again=0)
+        inputs = [lists.el.place, mass, self._found]
+        film.launch_l(kx.spare_l, inputs, [self._held, Shared(self._pack), Shared(self._spent)])
+        self._find(again=1)
+        film.launch_l(kx.mix_l, [self._found], [u, mass, *rest])
+
+    def _find(self, again: int) -> None:
+        """Find what L exchange; `again` where some of them would give more than they have."""
+        lists = self.lists
+        self.film.launch_l(
+            kx.find_exchange_l,
             [
                 *(Shared(self.state.e.x), lists.le.home, lists.el.place, Shared(lists.ee.rows), lists.el.blocks),
-                *(lag.x, Shared(self._pack), self._held, self._spacing),
+                *(self.state.l.x, Shared(self._pack), self._held, self._spacing, again, Shared(self._spent)),
             ],
-            held,
+            [self._found],
         )

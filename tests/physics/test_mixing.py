@@ -77,6 +77,32 @@ def test_a_pass_keeps_momentum_and_areas():
     assert f64(lag.eta).std() < spread
 
 
+def test_l_in_a_crowd_give_no_more_than_they_have():
+    """A quarter of the L at a tenth of their places, some a hundred times as thick: sums to rounding, all above 0."""
+    simulation, _, _ = stirred(2.0, frames=2)
+    lag, mixing = simulation.state.l, simulation.stepper.mixing
+    rng = np.random.default_rng(1)
+    x, mass, eta, amount = (array.numpy() for array in (lag.x, lag.mass, lag.eta, lag.surfactant))
+    crowd = rng.permutation(len(x))[: len(x) // 4]
+    x[crowd] = x[crowd[: len(x) // 40]][rng.integers(0, len(x) // 40, len(crowd))]
+    thick = rng.random(len(x)) < 0.1
+    for values in (mass, eta, amount):
+        values[thick] *= 100.0
+    for array, values in ((lag.x, x), (lag.mass, mass), (lag.eta, eta), (lag.surfactant, amount)):
+        array.assign(values)
+    affine = lag.affine.numpy()
+    affine[:] = [[0.0, 1e3, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    lag.affine.assign(affine)
+    simulation.stepper.lists.rebuild_l()
+    before = f64(lag.mass).sum(), f64(lag.surfactant).sum()
+    mixing._time.at(1.0)
+    mixing.apply()
+    assert mixing._spent.numpy()[0] == 1
+    assert f64(lag.mass).sum() == pytest.approx(before[0], rel=1e-6)
+    assert f64(lag.surfactant).sum() == pytest.approx(before[1], rel=1e-6)
+    assert lag.mass.numpy().min() > 0.0
+
+
 def amplitude(simulation, wave, chosen):
     """Share of the thickness's cosine along the first places of the chosen L that is left."""
     eta = f64(simulation.state.l.eta)[chosen]
