@@ -66,7 +66,7 @@ PARAMETERS = declare(e_count=500, l_per_e=1, frames=4)
 def build(v):
     bubbles = (Bubble((-0.0102, 0.0, 0.0), 0.01), Bubble((0.0102, 0.0, 0.0), 0.01), Bubble((0.0, 0.05, 0.0), 0.01),
                Bubble((0.0, -0.05, 0.0), 0.01, born=0.03))
-    events = (Pop(0.02, 2), Merge(0.045, 0, 1))
+    events = (Pop(0.02, 2, delete=True), Merge(0.045, 0, 1, delete=True))
     return Scene("foam", Cluster(bubbles, events=events), v.e_count, v.l_per_e, frames=v.frames, dt=1.0 / 240.0)
 """,
     "burst": """

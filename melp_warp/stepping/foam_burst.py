@@ -99,7 +99,7 @@ class FoamBurst(Burst):
         other[turned | (other == k)] = -1
         beyond = [[*(set(one) - {label}), -1] for one in stored.tears if label in one and -1 not in one]
         for one in beyond:
-            arrays["gas"][stored.labels.index(one[0]), AMOUNT] = 0.0
+            self._let_out(arrays, stored.labels.index(one[0]))
             if one not in stored.tears:
                 stored.tears.append(one)
 
@@ -177,7 +177,7 @@ class FoamBurst(Burst):
             stored.tears.append(tear)
         self._sim.state.course.holed = True  # from now on no energy budget is kept
         if sides[1] < 0:
-            stored.arrays["gas"][sides[0], AMOUNT] = 0.0
+            self._let_out(stored.arrays, sides[0])
 
     def take(self, stored: Stored) -> bool:
         """Put rims, drops and what is behind rims back, where nothing else has changed."""
@@ -198,6 +198,11 @@ class FoamBurst(Burst):
                 array.assign(arrays[f"{kind}.{name}"])
         state.ids["d"] = stored.ids["d"]
         return True
+
+    def _let_out(self, arrays: dict[str, np.ndarray], k: int) -> None:
+        """Open region k to the outside; without air, which holds a film back, its gas holds its shape up to the end."""
+        if self._sim.film.features.air:
+            arrays["gas"][k, AMOUNT] = 0.0
 
     def _vented(self, gas: np.ndarray) -> list[int]:
         return np.flatnonzero((gas[:, AMOUNT] == 0.0) & (gas[:, GAUGE] != 0.0)).tolist()

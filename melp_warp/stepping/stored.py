@@ -302,10 +302,10 @@ def _check_index(name: str, index: np.ndarray, count: int, low: int = 0) -> None
 
 
 def _check_gas(gas: np.ndarray, course: Course, closed: bool) -> None:
-    """What encloses gas has a volume and an amount of it; one with a hole has none."""
+    """What encloses gas has a volume and an amount of it; one with a hole may have none."""
     opened = [label in [k for k, j in course.tears if j < 0] for label in course.labels]
     for k, slots in enumerate(gas if closed else ()):
         held = dict(zip(GAS_SLOTS, slots.tolist(), strict=True))
         require(held["volume"] > 0.0, "gas, volume", held["volume"], "above 0")
-        right = held["amount"] == 0.0 if opened[k] else held["amount"] > 0.0
-        require(right, "gas, amount", held["amount"], "0 for a bubble with a hole" if opened[k] else "above 0")
+        right = held["amount"] >= 0.0 if opened[k] else held["amount"] > 0.0
+        require(right, "gas, amount", held["amount"], "0 or more for a bubble with a hole" if opened[k] else "above 0")

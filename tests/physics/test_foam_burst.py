@@ -146,10 +146,10 @@ def test_a_second_hole_in_a_torn_film_takes_what_was_there():
         assert held[y < 0.0].sum() == pytest.approx(held[y > 0.0].sum(), rel=0.3)
 
 
-def test_two_bubbles_end_at_once_without_air():
-    """What is left of one that ends right after another gets its momentum, a number."""
+def test_two_bubbles_end_at_once(monkeypatch):
+    """What is left of one that ends right after another gets its momentum, a number. They end once a little fell in."""
+    monkeypatch.setattr("melp_warp.stepping.foam_burst.CAVED_IN", 0.999)
     scene = foam(TRIPLE, 450, 0, [Pop(0.0005, 1), Pop(0.0005, 2)])
-    object.__setattr__(scene, "surroundings", Surroundings(damping=50.0))
     object.__setattr__(scene, "bursting", Bursting(breakup=20.0))
     simulation = Simulation(scene)
     for _ in range(5):
@@ -204,6 +204,19 @@ def test_drops_leave_at_the_floor():
     assert liquid(simulation) == pytest.approx(start, rel=1e-6)
     assert 0.2 * start < line["frame_mass"] < start
     assert simulation.state.d.x.numpy()[:, 1].min() > -1e-3
+
+
+def test_without_air_a_bubble_keeps_its_shape_while_it_bursts():
+    """Its gas holds it, to 1e-4 of its volume, until its film is gone; nothing else would."""
+    scene = foam(PAIR, 500, 0, punctures=(Puncture((2.0 * R, 0.0, 0.0), 0.0),), fps=4000.0)
+    object.__setattr__(scene, "surroundings", Surroundings(damping=50.0))
+    simulation = Simulation(scene)
+    volume = simulation.state.gas.numpy()[1, VOLUME]
+    while simulation.film.labels == (0, 1):
+        assert simulation.state.gas.numpy()[1, VOLUME] == pytest.approx(volume, rel=1e-4)
+        assert simulation.frame < 40
+        simulation.advance_frame()
+    assert simulation.frame > 10
 
 
 def test_a_puncture_off_the_film_or_in_a_hole_is_said():

@@ -274,6 +274,7 @@ def test_compiles_to_ptx(device, tmp_path):
     assert all(kernel.key in path.read_text() for path in paths)
 
 
+@pytest.mark.slow
 def test_float64(device, tmp_path):
     """A scene file's force is read as double; one that was not is refused, with what to do."""
     page = tmp_path / "gust.py"
