@@ -1,8 +1,8 @@
 """Bubbles of a foam that burst: a rim runs over the free film, or over a partition, up to the borders.
 
 The sheet that a rim has passed goes on as if it were whole, unseen and with no liquid of its own, until all of it is
-torn: then the region goes, and what it shared with its neighbours is theirs. Where the scene has air, its gas is open to
-the outside from the start and leaves through the hole.
+torn: then the region goes, and what it shared with its neighbours is theirs. Where the scene has air, its gas is
+open to the outside from the start and leaves through the hole.
 """
 
 from __future__ import annotations
