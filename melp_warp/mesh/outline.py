@@ -9,7 +9,7 @@ import numpy as np
 from melp_warp.errors import InputError
 from melp_warp.frame import MeshFrame, ParticleFrame
 from melp_warp.measure.fits import close_pairs, connected, nearest_distance, spans, squares, turned
-from melp_warp.mesh.surfaces import make_meshes
+from melp_warp.mesh.surfaces import FOLDED, make_meshes
 from melp_warp.preview.surface import next_beads
 
 NEAR = 1.2
@@ -17,7 +17,6 @@ NEAR = 1.2
 
 CLEAR = 0.3
 """Distance of the vertices of a mesh from its free rims, in widths of an E: nearer ones make folds."""
-
 
 APART = 1.8
 """Distance up to which E belong to one piece of a film, in widths of one."""
@@ -27,6 +26,9 @@ FILL = 0.75
 
 FEWEST = 6
 """E of the smallest piece that gets a mesh."""
+
+AT_POINTS = ("points", "velocities", "normals", "thickness", "black_film")
+"""What a mesh has at its points."""
 
 
 def mesh_torn(
@@ -58,14 +60,8 @@ def mesh_torn(
             continue  # a few drops' worth
         own = [curve for curve in curves if np.bincount(_nearest(curve, film, piece)).argmax() == k]
         many = lagrangian and _some(lagrangian, _nearest(lagrangian.points, film, piece) == k)
-        share = triangles and max(1, round(triangles * len(part.points) / len(film.points)))
-        try:
-            meshes, found = make_meshes(part, many, own, share)
-        except InputError as error:
-            meshes, found = {}, [str(error)]
-        sound = {r: mesh for r, mesh in meshes.items() if np.isfinite(mesh.normals).all()}
-        problems += found if sound else [f"region {region}: a piece of {len(part.points)} E makes no mesh"]
-        made += sound.values()
+        meshes, found = _lay(part, many, own, _share(triangles, part, film))
+        made, problems = [*made, *meshes.values()], problems + found
     return ({region: _merged(made)} if made else {}), problems
 
 
@@ -76,13 +72,38 @@ def _torn_foam(
 
     A hole in a bubble of a foam ends at borders as well as at its rim, so its edge is that of the last E.
     """
-    made, problems = make_meshes(e, lagrangian, [], triangles)
-    for region in _regions_of(beads, e):
-        points = e.points[e.region == region].astype(np.float64)
-        if region in made:
-            made[region] = _without_fill(made[region], points, FILL * float(e.widths.mean()))
-    torn = {f"region {region}:" for region in _regions_of(beads, e)}
-    return made, [one for one in problems if not any(one.startswith(start) for start in torn)]
+    torn, reach = _regions_of(beads, e), FILL * float(e.widths.mean())
+    made, problems = {}, []
+    for regions in (np.setdiff1d(e.region, torn), *torn):
+        part = _some(e, np.isin(e.region, regions))
+        many = lagrangian and _some(lagrangian, np.isin(lagrangian.region, regions))
+        if not np.isin(regions, torn).any():
+            meshes, found = make_meshes(part, many, [], _share(triangles, part, e))
+        elif len(part.points) < FEWEST:
+            continue
+        else:
+            meshes, found = _lay(part, many, [], _share(triangles, part, e))
+            meshes = {k: _without_fill(mesh, part.points.astype(np.float64), reach) for k, mesh in meshes.items()}
+            found = [one for one in found if not one.endswith(FOLDED)]
+        made, problems = made | meshes, problems + found
+    return made, problems
+
+
+def _share(triangles: int | None, part: ParticleFrame, whole: ParticleFrame) -> int | None:
+    """How many triangles a part of the film gets, of all that there are to be."""
+    return triangles and max(1, round(triangles * len(part.points) / len(whole.points)))
+
+
+def _lay(
+    part: ParticleFrame, many: ParticleFrame | None, rims: Sequence[np.ndarray], triangles: int | None
+) -> tuple[dict[int, MeshFrame], list[str]]:
+    """`make_meshes` of a piece of torn film; where there can be no mesh of it, none, and a line that says so."""
+    try:
+        meshes, found = make_meshes(part, many, rims, triangles)
+    except InputError as error:
+        meshes, found = {}, [str(error)]
+    sound = {k: mesh for k, mesh in meshes.items() if np.isfinite(mesh.normals).all()}
+    return sound, found if sound else [f"region {part.region[0]}: a piece of {len(part.points)} E makes no mesh"]
 
 
 def _regions_of(beads: ParticleFrame, e: ParticleFrame) -> list[int]:
@@ -96,15 +117,26 @@ def _regions_of(beads: ParticleFrame, e: ParticleFrame) -> list[int]:
 
 
 def _without_fill(mesh: MeshFrame, points: np.ndarray, reach: float) -> MeshFrame:
-    """A mesh without the faces that are farther than `reach` (m) from all E at `points`, and their vertices."""
-    corners = mesh.points[mesh.faces].astype(np.float64)
-    kept = nearest_distance(corners.mean(axis=1), points) < reach
-    faces = mesh.faces[kept]
+    """A mesh without what closes its holes, and the vertices of that alone.
+
+    That are the faces that are farther than `reach` (m) from all E at `points`, or look inwards.
+    """
+    a, b, c = (mesh.points[corner].astype(np.float64) for corner in mesh.faces.T)
+    outwards = (np.cross(b - a, c - a) * mesh.normals[mesh.faces].sum(axis=1)).sum(axis=1) > 0.0
+    faces = mesh.faces[outwards & (nearest_distance((a + b + c) / 3.0, points) < reach)]
+    while (pinched := _pinched(faces, len(mesh.points))).any():
+        faces = faces[~pinched[faces].any(axis=1)]
     used = np.unique(faces)
     number = np.zeros(len(mesh.points), dtype=np.int32)
     number[used] = np.arange(len(used))
-    names = ("points", "velocities", "normals", "thickness", "black_film")
-    return MeshFrame(*(getattr(mesh, name)[used] for name in names), number[faces], mesh.origin)
+    return MeshFrame(*(getattr(mesh, name)[used] for name in AT_POINTS), number[faces], mesh.origin)
+
+
+def _pinched(faces: np.ndarray, count: int) -> np.ndarray:
+    """[count] points in which edges of a mesh meet, so that it hangs together by a point alone."""
+    start, end = faces.T.reshape(-1).astype(np.int64), np.roll(faces, -1, axis=1).T.reshape(-1)
+    bare = ~np.isin(end * count + start, start * count + end)
+    return np.bincount(start[bare], minlength=count) > 1
 
 
 def _clear_of_rims(e: ParticleFrame, beads: ParticleFrame) -> ParticleFrame:
@@ -139,9 +171,8 @@ def _merged(meshes: list[MeshFrame]) -> MeshFrame:
     """Several meshes as one."""
     first = np.cumsum([0, *(len(mesh.points) for mesh in meshes[:-1])])
     faces = [(mesh.faces + at).astype(np.int32) for mesh, at in zip(meshes, first, strict=True)]
-    names = ("points", "velocities", "normals", "thickness", "black_film")
     return MeshFrame(
-        *(np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in names),
+        *(np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in AT_POINTS),
         np.concatenate(faces),
         meshes[0].origin,
     )

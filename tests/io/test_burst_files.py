@@ -9,7 +9,7 @@ from melp_warp import cli
 from melp_warp.frame import ParticleFrame
 from melp_warp.mesh.outline import mesh_torn, outlines
 from melp_warp.registry import load_scene
-from melp_warp.usd.cache import DROPS, FREE_RIMS, list_frames, read_frame, read_metadata
+from melp_warp.usd.cache import DROPS, FREE_RIMS, list_frames, read_frame, read_mesh, read_metadata
 from melp_warp.usd.check import check_cache
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]])
@@ -152,6 +152,16 @@ def test_a_puncture_off_the_film_is_said(tmp_path, capsys):
     foam = ["run", "double_bubble", "--out", str(tmp_path / "foam"), "--puncture", "0,0,9,0", *small]
     assert cli.main(foam) == 1
     assert "m off the film: nothing happens" in capsys.readouterr().err
+
+
+def test_meshes_of_a_foam_that_bursts_are_sound(tmp_path):
+    """In every frame while a bubble of four is torn; it has fewer faces each time, and in the end none."""
+    times = ["merge_time=auto", "pop_time=0.05", "slow_from=0.05", "slow_motion=60"]
+    small = ["e_count=480", "l_per_e=2", *times, "--frames", "28", "--mesh"]
+    assert cli.main(["run", "four_bubbles", "--quiet", "--out", str(tmp_path / "out"), "--set", *small]) == 0
+    assert check_cache(tmp_path / "out") == []
+    faces = [len(read_mesh(tmp_path / "out", frame, 1).faces) for frame in range(4, 29)]
+    assert faces[0] > faces[10] > 0 and faces[-1] == 0
 
 
 def test_the_outline_of_a_film_with_holes(burst):
