@@ -399,7 +399,7 @@ class Simulation:
             self.stepper.settle()
             stored = Stored.of(self.state)
             change(stored)
-            if self.burst is None or not self.burst.take(stored):
+            if self.burst is None or not self.burst.put_back(stored):
                 self._set_up(stored)
             if self.burst is not None:
                 self.burst.begin()
@@ -469,22 +469,20 @@ class Simulation:
             lag = self.state.l
             x, v, normal, eta = (a.numpy() for a in (lag.x, lag.v, lag.normal, lag.eta))
             area = lag.mass.numpy() / (self.scene.material.density * eta)
-            there = area > 0.0  # the rim has collected the liquid of the others
         else:
             self.stepper.fields.update()
             e = self.state.e
             x, v, normal = e.x.numpy()[:n], self._e_velocity(), e.normal.numpy()[:n]
             eta, area = self.stepper.fields.eta.numpy(), self.stepper.geometry.area.numpy()
         source = self.state.l if which == "l" else self.state.e
-        if source.behind is not None:
-            there = (source.behind.numpy() == 0) & (area > 0.0)
         region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
         ids = self.state.ids[which]
         order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
-        if which == "l" and self.film.features.collects:
-            order = np.flatnonzero(there)
-        if source.behind is not None:
-            order = order[there[order]] if self.film.features.foam else np.flatnonzero(there)
+        if source.behind is not None or (which == "l" and self.film.features.collects):
+            there = area > 0.0  # a wire or a free rim has collected the liquid of the others
+            if source.behind is not None:
+                there &= source.behind.numpy() == 0
+            order = np.arange(n)[order][there[order]]
         thickness = (eta * 1e9).astype(np.float32)[order]
         return ParticleFrame(
             points=(x + (self.state.origin - self.origin)).astype(np.float32)[order],

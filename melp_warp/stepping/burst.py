@@ -18,7 +18,7 @@ from melp_warp.kernels import free_rim as kr
 from melp_warp.measure.fits import connected, nearest_distance, squares
 from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT, FreeRim
 from melp_warp.stages.state import AMOUNT, GAUGE
-from melp_warp.stepping.breath import CONTRACTION
+from melp_warp.stepping.breath import flow_through
 from melp_warp.stepping.rims import FEWEST, POINT, ROUND, SUMS, Rims, Thread, breaking_points
 from melp_warp.stepping.topology import Stored
 
@@ -102,8 +102,8 @@ class Burst:
                 raise SimulationError("stage rim: a point of a free rim is not finite")
             sim.state.course.run += dt * speed
             self._moved = True
-        if edge is not None and sim.scene.surroundings.air != "none":
-            self._vent(dt)
+            if sim.scene.surroundings.air != "none":
+                self._vent(dt)
         drops, air = sim.state.d, sim.scene.surroundings
         density = air.air_density if air.air != "none" else 0.0
         inputs = [drops.mass, sim.scene.material.density, density, sim.film.gravity_at(sim.time - 0.5 * dt), dt]
@@ -126,16 +126,17 @@ class Burst:
         stored.ids["d"] = stored.ids["d"][~drops]
 
     def _vent(self, dt: float) -> None:
-        """Let gas leave by the holes for a step of dt (s): C A sqrt(2 dp/rho_air), at the volume that it had.
+        """Let gas leave by the holes for a step of dt (s), `flow_through`, at the volume that it had.
 
-        The root of the pressure falls evenly, in a thousandth of a second or less; what is left then holds nothing up.
+        The root of the pressure falls evenly, by half of what flows at 1 Pa: to nothing in a thousandth of a second or
+        less. What is left then holds nothing up.
         """
         state, around = self._sim.state, self.scene.surroundings
         gas, rims = state.gas.numpy(), None
         for k in self._vented(gas):
             rims = rims or self._rims
             hole = sum(rims.hole(chain) for chain in rims.chains if rims.point["region"][chain.index[0]] == k)
-            fall = around.pressure / self._held(k, gas) * CONTRACTION * hole * np.sqrt(0.5 / around.air_density) * dt
+            fall = 0.5 * dt * around.pressure / self._held(k, gas) * flow_through(hole, 1.0, around.air_density)
             gauge = gas[k, GAUGE]
             gas[k, GAUGE] = np.sign(gauge) * max(np.sqrt(abs(gauge)) - fall, 0.0) ** 2
         if rims is not None:
@@ -169,8 +170,8 @@ class Burst:
             return self._tidy
         return None
 
-    def take(self, _: Stored) -> bool:
-        """Whether a change needs nothing to be set up anew."""
+    def put_back(self, _: Stored) -> bool:
+        """Take a change over into the state as it is; False where all is to be set up anew, as for single films."""
         return False
 
     def _meeting(self) -> bool:
@@ -391,7 +392,7 @@ class Burst:
         if not len(met):
             return
         arrays, place = stored.arrays, rims.point["x"][met]
-        kind, flag = _carriers(stored)
+        kind, flag = stored.carriers, stored.flag
         sides = [rims.point[name][met] for name in ("region", "other")]
         for name in (flag, "e.behind"):
             which = name[0]
@@ -429,7 +430,7 @@ class Burst:
         """Take the film of the E of the mask `lost` [n_e] away; its liquid."""
         arrays = stored.arrays
         arrays["e.behind"][lost] = 1
-        kind, flag = _carriers(stored)
+        kind, flag = stored.carriers, stored.flag
         there = lost[self._sim.stepper.lists.le.home.numpy()] if kind == "l" else lost
         there = there & (arrays[flag] == 0)
         arrays[flag][there] = 1
@@ -514,8 +515,7 @@ class Burst:
     def _finish(self, stored: Stored, rims: Rims) -> None:
         """The last of the film and of its rims: into the frame where there is one, else into drops."""
         arrays = stored.arrays
-        kind, flag = _carriers(stored)
-        left = arrays[flag] == 0
+        kind, left = stored.carriers, stored.there()
         mass = arrays[f"{kind}.mass"][left].astype(np.float64)
         threads = rims.threads(chain.index for chain in rims.chains)
         if self._sim.film.rim is not None:
@@ -532,11 +532,6 @@ class Burst:
             arrays[name] = arrays[name][:0]
         arrays.pop("b.mirror", None)
         stored.drop_region(0)
-
-
-def _carriers(stored: Stored) -> tuple[str, str]:
-    """The particles that hold the liquid, and what says of which a rim has taken it."""
-    return ("l", "l.behind") if "l" in stored.kinds else ("e", "e.swept")
 
 
 def keep_e(stored: Stored, kept: np.ndarray) -> None:

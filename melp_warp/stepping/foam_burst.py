@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from melp_warp.simulation import Simulation
 
 SHARED = 0.5
-"""Cover of an E above which its sheet is a partition."""
+"""Cover of an E above which its sheet is a partition, or lies on a wall."""
+
+OUTSIDE, WALL = -1, -2
+"""What is beyond the film at an E where it is no other region."""
 
 CAVED_IN = 0.3
 """Share of its volume to which a bubble that bursts may fall in; then what is left of it breaks into drops at once."""
@@ -72,12 +75,11 @@ class FoamBurst(Burst):
 
     def pop(self, event: Pop, k: int) -> Callable[[Stored], None] | None:
         """A hole in the free film of region k; None where it has none."""
-        return self._hole_in(event, (k, -1), self._sheet(k) & ~self._shared())
+        return self._hole_in(event, (k, OUTSIDE), self._sheet(k) & (self._beyond() == OUTSIDE))
 
     def merge(self, event: Merge, k: int, other: int) -> Callable[[Stored], None] | None:
         """A hole in the partition between two regions; None where they share too little."""
-        between = self._partners() == other
-        return self._hole_in(event, (k, other), self._sheet(k) & self._shared() & between)
+        return self._hole_in(event, (k, other), self._sheet(k) & (self._beyond() == other))
 
     def release(self, stored: Stored, k: int) -> None:
         """Let the rims on the free film of region k, which is about to go, be drops.
@@ -141,32 +143,26 @@ class FoamBurst(Burst):
         e = self._sim.state.e
         return (e.region.numpy()[: self._sim.film.n_e] == k) & (e.behind.numpy() == 0)
 
-    def _shared(self) -> np.ndarray:
-        """[n_e] whether the sheet at an E is one film with another or lies on a wall."""
-        return self._sim.stepper.membrane.read_cover() > SHARED
-
-    def _partners(self) -> np.ndarray:
-        """[n_e] region on the other side of each E, -1 for none."""
-        return self._sim.stepper.membrane.find_partners("e")
+    def _beyond(self) -> np.ndarray:
+        """[n_e] what is on the other side of the film at each E: a region, `OUTSIDE` or a `WALL` (reads back)."""
+        membrane = self._sim.stepper.membrane
+        partner = membrane.find_partners("e")
+        return np.where(membrane.read_cover() > SHARED, np.where(partner >= 0, partner, WALL), OUTSIDE)
 
     # --- what is torn ------------------------------------------------------------------------------------------------
 
     def _sides(self, i: int) -> tuple[int, int] | None:
-        region = int(self._sim.state.e.region.numpy()[i])
-        if not self._shared()[i]:
-            return (region, -1)
-        partner = int(self._partners()[i])
-        return (region, partner) if partner >= 0 else None
+        beyond = int(self._beyond()[i])
+        return None if beyond == WALL else (int(self._sim.state.e.region.numpy()[i]), beyond)
 
     def _film_thickness(self) -> np.ndarray:
         """A partition is as thick as its two sheets; what lies on a wall does not break."""
         own = super()._film_thickness()
-        x, shared, partner = self._sim.state.e.x.numpy(), self._shared(), self._partners()
-        region = self._sim.state.e.region.numpy()
+        x, region, beyond = self._sim.state.e.x.numpy(), self._sim.state.e.region.numpy(), self._beyond()
         eta = own.astype(np.float64)
-        eta[shared & (partner < 0)] = np.inf
-        for k in np.unique(partner[shared & (partner >= 0)]):
-            here, there = np.flatnonzero(shared & (partner == k)), np.flatnonzero(region == k)
+        eta[beyond == WALL] = np.inf
+        for k in np.unique(beyond[beyond >= 0]):
+            here, there = np.flatnonzero(beyond == k), np.flatnonzero(region == k)
             eta[here] += own[there[np.argmin(squares(x[here], x[there]), axis=1)]]
         return eta
 
@@ -179,7 +175,7 @@ class FoamBurst(Burst):
         if sides[1] < 0:
             self._let_out(stored.arrays, sides[0])
 
-    def take(self, stored: Stored) -> bool:
+    def put_back(self, stored: Stored) -> bool:
         """Put rims, drops and what is behind rims back, where nothing else has changed."""
         state = self._sim.state
         same = stored.labels == state.course.labels and stored.tears == state.course.tears
@@ -216,7 +212,7 @@ class FoamBurst(Burst):
         """The free film of bubbles that burst."""
         region = arrays["e.region"][: self._sim.film.n_e]
         burst = [k for k, one in self._indices() if one < 0]
-        return (arrays["e.behind"] == 0) & np.isin(region, burst) & ~self._shared()
+        return (arrays["e.behind"] == 0) & np.isin(region, burst) & (self._beyond() == OUTSIDE)
 
     def _indices(self) -> list[tuple[int, int]]:
         """The torn films by the indices of their regions."""
@@ -243,9 +239,7 @@ class FoamBurst(Burst):
     def _arrived(self, rims: Rims) -> np.ndarray:
         """[n] whether points have come to a border: the film before them has another region beyond it, or none."""
         nearest, _ = self._ahead(rims, self._sim.state.e.behind.numpy())
-        beyond = np.where(self._shared(), self._partners(), -1)[nearest]
-        on_wall = self._shared()[nearest] & (beyond < 0)
-        return (nearest >= 0) & ((beyond != rims.point["other"]) | on_wall)
+        return (nearest >= 0) & (self._beyond()[nearest] != rims.point["other"])
 
     def _collect(self, stored: Stored, rims: Rims, there: np.ndarray) -> None:
         """What comes to a border from outside breaks into drops, what comes from inside stays with the film around."""
@@ -260,14 +254,13 @@ class FoamBurst(Burst):
 
         There it comes to a stop: what it moved with becomes motion of both bubbles as a whole.
         """
-        kind = "l" if "l" in stored.kinds else "e"
+        kind, there = stored.carriers, stored.there()
         arrays, point = stored.arrays, rims.point
-        taken = arrays["l.behind" if kind == "l" else "e.swept"] == 1
-        region = arrays[f"{kind}.region"][: len(taken)]
+        region = arrays[f"{kind}.region"][: len(there)]
         for k, j in {(int(point["region"][i]), int(point["other"][i])) for i in points}:
             own = points[(point["region"][points] == k) & (point["other"][points] == j)]
             held = {name: point[name][own] for name in ("x", "mass", "surfactant")}
-            give(arrays, kind, held, np.flatnonzero(np.isin(region, (k, j)) & ~taken))
+            give(arrays, kind, held, np.flatnonzero(np.isin(region, (k, j)) & there))
             momentum = (point["mass"][own, None] * point["u"][own]).sum(axis=0)
             self._push(arrays, (k, j), momentum)
             self._gave = True
@@ -283,7 +276,7 @@ class FoamBurst(Burst):
             return None
         state = self._sim.state
         caved = state.gas.numpy()[:, VOLUME] < CAVED_IN * state.memory.volume.numpy()
-        point = self._sim.state.f
+        point = state.f
         left = set(zip(point.region.numpy().tolist(), point.other.numpy().tolist(), strict=True))
         for k, other in self._indices():
             if (k, other) not in left or (other < 0 and caved[k]):
@@ -292,20 +285,19 @@ class FoamBurst(Burst):
 
     def _end_bubble(self, k: int) -> Callable[[Stored], None]:
         """Region k is gone: its partitions are its neighbours', what else is left of its film becomes drops."""
-        kind = "l" if self._sim.has_l else "e"
-        partner_e = self._partners()
-        partner = self._sim.stepper.membrane.find_partners("l") if kind == "l" else partner_e
+        find_partners = self._sim.stepper.membrane.find_partners
+        partner_e = find_partners("e")
+        partner = find_partners("l") if self._sim.has_l else partner_e
 
         def change(stored: Stored) -> None:
             self.release(stored, k)
             self._hand_motion(stored, k, partner_e)
-            arrays = stored.arrays
-            taken = arrays["l.behind" if kind == "l" else "e.swept"] == 1
-            own = (arrays[f"{kind}.region"][: len(taken)] == k) & ~taken
-            whole = np.unique(arrays[f"{kind}.region"][: len(taken)][~taken])
-            scraps = own & ~np.isin(partner, whole)
+            arrays, kind, there = stored.arrays, stored.carriers, stored.there()
+            region = arrays[f"{kind}.region"][: len(there)]
+            own = (region == k) & there
+            scraps = own & ~np.isin(partner, np.unique(region[there]))
             self._spray(stored, [self._liquid_of(stored, kind, scraps)])
-            arrays[f"{kind}.mass"][: len(taken)][scraps] = 0.0
+            arrays[f"{kind}.mass"][scraps] = 0.0
             if kind == "e":
                 self._hand_across(stored, np.flatnonzero(own & ~scraps), partner)
                 pop_region(stored, k, None)
@@ -357,6 +349,6 @@ class FoamBurst(Burst):
         for j in np.unique(partner[index]):
             own = index[partner[index] == j]
             held = {name: arrays[f"e.{name}"][own].astype(np.float64) for name in ("x", "u", "mass", "surfactant")}
-            heirs = (arrays["e.region"][: len(partner)] == j) & (arrays["e.swept"] == 0)
+            heirs = (arrays["e.region"][: len(partner)] == j) & stored.there()
             give(arrays, "e", held, np.flatnonzero(heirs), heirs=1)
             arrays["e.mass"][own] = 0.0

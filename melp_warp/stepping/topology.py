@@ -56,6 +56,21 @@ class Stored:
         """The particle sets there are, "e" or "el"."""
         return "el" if "l.x" in self.arrays else "e"
 
+    @property
+    def carriers(self) -> str:
+        """The set that holds the liquid: "l" where there are L, else "e"."""
+        return self.kinds[-1]
+
+    @property
+    def flag(self) -> str:
+        """Name of the array that says of which of them a free rim has it; there is one where films may burst."""
+        return {"l": "l.behind", "e": "e.swept"}[self.carriers]
+
+    def there(self) -> np.ndarray:
+        """[n] of which of them none has it."""
+        taken = self.arrays.get(self.flag)
+        return np.ones(len(self.arrays[f"{self.carriers}.mass"]), dtype=bool) if taken is None else taken == 0
+
     def select(self, kind: str, chosen: np.ndarray) -> None:
         """Keep the particles `chosen` (mask or indices) of one set, in that order."""
         for name in self.arrays:
@@ -87,7 +102,7 @@ def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
         partner_l: [n_l] region that each L's film is shared with, -1 for none; None without L.
     """
     if partner_l is not None:
-        region, there = stored.region("l"), _there(stored, "l")
+        region, there = stored.region("l"), stored.there()
         shared = (region == k) & (partner_l >= 0) & there
         if "l.circulation" in stored.arrays:
             stored.arrays["l.circulation"][shared] *= -1.0  # about the normal of the other side
@@ -97,16 +112,10 @@ def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
         stored.select("l", region != k)
     else:
         held = stored.arrays["e.mass"]
-        own = (stored.region("e")[: len(held)] == k) & _there(stored, "e")
+        own = (stored.region("e")[: len(held)] == k) & stored.there()
         stored.spilled += float(held[own].sum(dtype=np.float64))
     stored.select("e", stored.region("e") != k)
     stored.drop_region(k)
-
-
-def _there(stored: Stored, kind: str) -> np.ndarray:
-    """[n] whether particles hold their liquid: no free rim has it."""
-    taken = stored.arrays.get("l.behind" if kind == "l" else "e.swept")
-    return np.ones(len(stored.arrays[f"{kind}.mass"]), dtype=bool) if taken is None else taken == 0
 
 
 def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.ndarray]) -> None:
@@ -123,9 +132,8 @@ def merge_regions(stored: Stored, k: int, other: int, partition: dict[str, np.nd
         both = (region == k) | (region == other)
         region[both] = k
         gone = both & partition[kind]
-        carriers = "l" if "l" in stored.kinds else "e"
-        if kind == carriers:
-            there = _there(stored, kind)
+        if kind == stored.carriers:
+            there = stored.there()
             _hand_over(stored, kind, gone & there, both & ~gone & there)
         stored.select(kind, ~gone)
     for rims in (stored.arrays[name] for name in ("f.region", "f.other") if name in stored.arrays):
