@@ -203,6 +203,10 @@ class Cluster(Shape):
                 if room < -1e-6 * b.radius:
                     raise InputError(f"bubble {k} must lie inside wall {w}, it reaches {-room:.3g} m beyond")
 
+    def tensions(self, regions: Sequence[int]) -> list[float]:
+        """Factors on the scene's tension of the bubbles of these numbers."""
+        return [self.bubbles[k].tension for k in regions]
+
     @property
     def initial(self) -> tuple[int, ...]:
         """Numbers of the bubbles that are there from the start."""

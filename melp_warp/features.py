@@ -13,25 +13,26 @@ from melp_warp.stage import Stage
 
 @dataclass(frozen=True)
 class Features:
-    """Which stages a scene needs.
+    """Which parts a scene needs; `melp_warp.stepping.parts` finds them by the names given here.
 
     Attributes:
+        carrier: of the flow along the film: "none", "two_layers" (L), "circulation" (L, which carry it besides) or
+            "single_layer" (E are all particles there are).
+        normal: motion of the surface: "none", "membrane", or "foam" where there are several regions or walls to touch.
+        response: of a membrane to a load: "film", "air" with its added mass, "explicit" by the present force over the
+            mass, or "lumped", the same of a single layer; "none" for others.
+        flow: how the flow along the film is stepped: "midpoint", "backward_euler" or, of a single layer, "explicit".
         closed: the film encloses gas.
-        moving: the surface moves (normal dynamics, E advance and redistribution).
-        lagrangian: there are L: transfers, tangential dynamics, L advance.
+        floats: it is a single film that does and moves freely as a whole.
         rim: there are boundary particles.
         collects: the rim takes momentum from the L, and liquid that nothing holds off it.
         marangoni: there is surfactant, so (14) takes part.
         viscous: in-plane viscosity.
-        recoils: the film is closed and its uneven tension pushes liquid along it, so it moves the other way.
+        recoils: the film floats and its uneven tension pushes liquid along it, so it moves the other way.
         air: the air's added mass takes part in the normal motion.
         dragged: the air's drag holds a closed film back as a whole.
         exchanges: liquid crosses between films that touch.
-        foam: there are several regions, or walls, to touch.
-        single: E are all particles there are, and carry the film along (`SingleLayer`).
-        circulation: L carry circulation.
         mixes: L exchange what they hold where the flow shears them.
-        explicit: the normal motion is stepped by the present force over the mass.
         budget: the energy budget is kept, in a foam up to when a film bursts; a single layer has none, nor has a single
             film that may burst or whose gas comes and goes.
         bursts: the film may get holes.
@@ -40,9 +41,12 @@ class Features:
         stages, sets: parts of the step and particles of the scene's own.
     """
 
+    carrier: str
+    normal: str
+    response: str
+    flow: str
     closed: bool
-    moving: bool
-    lagrangian: bool
+    floats: bool
     rim: bool
     collects: bool
     marangoni: bool
@@ -51,11 +55,7 @@ class Features:
     air: bool
     dragged: bool
     exchanges: bool
-    foam: bool
-    single: bool
-    circulation: bool
     mixes: bool
-    explicit: bool
     budget: bool
     bursts: bool
     holed: bool
@@ -66,29 +66,28 @@ class Features:
     @classmethod
     def of(cls, scene: Scene, holed: bool = False) -> Features:
         """Derive the features of a scene, of a film that is whole or `holed`."""
-        lagrangian = scene.l_per_e > 0
-        moving = not scene.shape.flat
-        single = scene.numerics.layers == 1
-        marangoni = (lagrangian or single) and scene.material.surfactant > 0.0
         foam = isinstance(scene.shape, Cluster)
         holed = holed and not foam  # a foam's other bubbles stay as they are
-        air = moving and scene.surroundings.air == "added_mass" and not holed
+        carrier, normal = _carrier(scene), _normal(scene)
+        flowing, lagrangian = carrier != "none", carrier in _OF_L
+        air = normal != "none" and scene.surroundings.air == "added_mass" and not holed
         closed = scene.shape.closed and not holed
+        marangoni = flowing and scene.material.surfactant > 0.0
+        single = carrier == "single_layer"
         return cls(
+            carrier=carrier,
+            normal=normal,
+            response=_response(scene, air) if normal == "membrane" else "none",
+            flow="explicit" if single else scene.numerics.flow,
             closed=closed,
-            moving=moving,
-            lagrangian=lagrangian,
+            floats=closed and not foam,
             rim=not scene.shape.closed,
             collects=lagrangian and not scene.shape.closed,
             marangoni=marangoni,
             recoils=marangoni and closed and not foam,
-            viscous=(lagrangian or single) and scene.material.viscosity > 0.0,
+            viscous=flowing and scene.material.viscosity > 0.0,
             exchanges=lagrangian and foam and scene.numerics.exchange > 0.0,
-            foam=foam,
-            single=single,
-            circulation=lagrangian and scene.numerics.carrier == "circulation",
             mixes=lagrangian and scene.numerics.mixing > 0.0,
-            explicit=single or (scene.numerics.scheme == "explicit" and not foam),
             air=air,
             dragged=air and closed and scene.surroundings.air_drag > 0.0,
             budget=scene.budget and not (single or (scene.bursts and not foam) or scene.breathes),
@@ -100,40 +99,56 @@ class Features:
         )
 
     @property
+    def moving(self) -> bool:
+        """Whether the surface moves: normal dynamics, E advance and redistribution."""
+        return self.normal != "none"
+
+    @property
+    def lagrangian(self) -> bool:
+        """Whether there are L: transfers, tangential dynamics, L advance."""
+        return self.carrier in _OF_L
+
+    @property
+    def circulation(self) -> bool:
+        """Whether L carry circulation."""
+        return self.carrier == "circulation"
+
+    @property
+    def explicit(self) -> bool:
+        """Whether the normal motion is stepped by the present force over the mass."""
+        return self.response in ("explicit", "lumped")
+
+    @property
     def tears(self) -> bool:
         """Whether particles know of rims that have passed them: in a foam that may burst always."""
-        return self.holed or (self.foam and self.bursts)
+        return self.holed or (self.normal == "foam" and self.bursts)
 
     @property
     def air_waves(self) -> bool:
         """Whether the air's inertia is a function of the surface Laplacian, see `melp_warp.stages.air`."""
-        return self.air and not (self.foam or self.explicit)
+        return self.response == "air"
 
-    def kernels(self) -> list[str]:
-        """Files of `melp_warp.kernels` whose kernels a run launches."""
-        needed = {
-            **dict.fromkeys(("neighbors", "geometry", "cells", "gas", "diagnostics", "surfactant", "transfer"), True),
-            "forces": True,
-            "barrier": True,
-            "linear": self.moving or self.circulation or (self.lagrangian and (self.marangoni or self.viscous)),
-            "advance": True,
-            "redistribute": self.moving,
-            "membrane": self.moving and not self.foam,
-            "motion": self.moving,
-            "drag": self.dragged,
-            "air_range": self.air and self.closed and not (self.foam or self.explicit),
-            "l_lists": self.lagrangian,
-            "circulation": self.circulation or bool(self.carried),
-            "carried": bool(self.carried),
-            "mixing": self.mixes,
-            "boundary": self.rim,
-            "single_layer": self.single,
-            "foam": self.foam,
-            "contact": self.foam,
-            "line_forces": self.foam,
-            "exchange": self.foam,
-            "regions": self.foam,
-            "budget": self.budget,
-            "free_rim": self.bursts,
-        }
-        return [name for name, wanted in needed.items() if wanted]
+
+_OF_L = ("two_layers", "circulation")
+
+
+def _carrier(scene: Scene) -> str:
+    if scene.numerics.layers == 1:
+        return "single_layer"
+    if scene.l_per_e == 0:
+        return "none"
+    return "circulation" if scene.numerics.carrier == "circulation" else "two_layers"
+
+
+def _normal(scene: Scene) -> str:
+    if scene.shape.flat:
+        return "none"
+    return "foam" if isinstance(scene.shape, Cluster) else "membrane"
+
+
+def _response(scene: Scene, air: bool) -> str:
+    if scene.numerics.layers == 1:
+        return "lumped"
+    if scene.numerics.scheme == "explicit":
+        return "explicit"
+    return "air" if air else "film"

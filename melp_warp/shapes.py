@@ -7,12 +7,16 @@ the boundary particles that continue it beyond its rim.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from melp_warp.errors import require
+
+if TYPE_CHECKING:
+    from melp_warp.cluster import Wall
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -65,6 +69,10 @@ class Shape(ABC):
     """Whether the film encloses gas."""
     flat: bool
     """Whether the film is plane and stays so: normal dynamics are then left out."""
+    initial: tuple[int, ...] = (0,)
+    """Numbers of the regions that are there from the start."""
+    walls: tuple[Wall, ...] = ()
+    """Planes that it touches."""
 
     @property
     @abstractmethod
@@ -82,6 +90,10 @@ class Shape(ABC):
     def edges(self) -> list[np.ndarray]:
         """Dense points [k, 3] along each closed curve in which the film ends, in order, m; none for a closed film."""
         return []
+
+    def tensions(self, regions: Sequence[int]) -> list[float]:
+        """Factors on the scene's tension of the regions of these numbers."""
+        return [1.0 for _ in regions]
 
     def extent(self) -> np.ndarray:
         """Size of the film along its own axes, m: the smallest must have room for the kernel support."""

@@ -26,12 +26,13 @@ from melp_warp.stages.notices import Notices
 from melp_warp.stages.state import AMOUNT, AREA, Snapshot, State
 from melp_warp.stepping import checkpoint
 from melp_warp.stepping.breath import Breath
-from melp_warp.stepping.budget import Ledger, Reading
 from melp_warp.stepping.burst import Burst
 from melp_warp.stepping.events import Events
 from melp_warp.stepping.foam_burst import FoamBurst
-from melp_warp.stepping.sampling import FAR, MOST_TURN, film_of, make_film, set_up_foam, set_up_holed, unresolved
-from melp_warp.stepping.single_layer import make_stepper
+from melp_warp.stepping.ledger import Ledger, Reading
+from melp_warp.stepping.parts import kernel_files
+from melp_warp.stepping.sampling import FAR, MOST_TURN, film_of, make_film, set_up_again, unresolved
+from melp_warp.stepping.stepper import make_stepper
 from melp_warp.stepping.topology import Stored
 
 LEAP = 0.3
@@ -285,7 +286,7 @@ class Simulation:
         state.forget()
         wall = self.stepper.wall
         self.stepper = make_stepper(film, state)
-        self.stepper.wall = wall
+        self.stepper.wall |= wall
         for array, values in kept:
             wp.copy(array, values)
         state.course.reach = self._longest_way()
@@ -356,9 +357,9 @@ class Simulation:
         return None
 
     def _recentre(self) -> None:
-        """Measure positions from a closed film itself once it has flown far."""
+        """Measure positions from a film itself once it has flown far."""
         film, state = self.film, self.state
-        if not film.features.closed or film.features.foam:
+        if not film.features.floats:
             return
         away = state.e.x[:1].numpy()[0].astype(np.float64)
         if np.abs(away).max() > 2.0 * FAR * film.radius:
@@ -417,10 +418,9 @@ class Simulation:
         self.stepper.remark(self.notices)
         if budget is not None:
             self.ledger.cut(budget.read(), budget.pending())
-        set_up = set_up_foam if self.film.features.foam else set_up_holed
-        _, self.stepper = set_up(self.scene, stored, self.state, self.film)
-        self.stepper.wall = wall
-        if self.film.features.foam and not self.gone:
+        _, self.stepper = set_up_again(self.scene, stored, self.state, self.film)
+        self.stepper.wall |= wall
+        if self.state.course.reach == 0.0 and not self.gone:
             self.state.course.reach = self._longest_way()
         if self.stepper.budget is not None:
             self.ledger.open(self._weighed())
@@ -428,24 +428,23 @@ class Simulation:
     def largest_step(self) -> float:
         """The scene's dt, or the step in which the fastest particle moves `cfl` spacings, s.
 
-        A single layer is limited by its waves besides, see `SingleLayer.longest_step`.
+        What carries the flow may know a limit besides, see `Carrier.longest_step`, and so may the normal motion.
         Where the scene sets no dt, the first step is that of the fastest wave on the film and a step is at most twice
         the one before: at the start nothing has moved yet.
         """
         limit = min(1.0 / self.scene.fps, self.state.course.cap)
         if self.burst is not None:
             limit = min(limit, self.burst.longest_step())
-        if self.film.features.single:
-            limit = min(limit, self.stepper.longest_step(self.stepper.lists.fastest))
+        stepper, fastest = self.stepper, self.stepper.lists.fastest
+        limit = min(limit, stepper.carrier.longest_step(fastest))
         if self.scene.dt is not None:
             return min(limit, self.scene.dt)
-        if self.film.features.foam:
-            limit = min(limit, self.stepper.membrane.longest_step(self.stepper.lists.fastest))
+        if stepper.membrane is not None:
+            limit = min(limit, stepper.membrane.longest_step(fastest))
         reach = self.scene.numerics.cfl * self.film.spacing
         if self.state.course.limit == 0.0:
             return min(limit, reach / self.state.course.speed)
-        speed = self.stepper.lists.fastest
-        wanted = min(2.0 * self.state.course.limit, reach / speed if speed > 0.0 else limit)
+        wanted = min(2.0 * self.state.course.limit, reach / fastest if fastest > 0.0 else limit)
         return min(limit, wanted)
 
     def _fastest_wave(self) -> float:
@@ -472,17 +471,17 @@ class Simulation:
         else:
             self.stepper.fields.update()
             e = self.state.e
-            x, v, normal = e.x.numpy()[:n], self._e_velocity(), e.normal.numpy()[:n]
+            x, v, normal = e.x.numpy()[:n], self.stepper.carrier.velocity_of_e(), e.normal.numpy()[:n]
             eta, area = self.stepper.fields.eta.numpy(), self.stepper.geometry.area.numpy()
         source = self.state.l if which == "l" else self.state.e
         region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
         ids = self.state.ids[which]
-        order = np.argsort(ids, kind="stable") if self.film.features.foam else slice(None)
+        order = np.argsort(ids, kind="stable")
         if source.behind is not None or (which == "l" and self.film.features.collects):
             there = area > 0.0  # a wire or a free rim has collected the liquid of the others
             if source.behind is not None:
                 there &= source.behind.numpy() == 0
-            order = np.arange(n)[order][there[order]]
+            order = order[there[order]]
         thickness = (eta * 1e9).astype(np.float32)[order]
         return ParticleFrame(
             points=(x + (self.state.origin - self.origin)).astype(np.float32)[order],
@@ -523,18 +522,6 @@ class Simulation:
         found = {one.name: one.shown(held[one.name].numpy(), area, mass) for one in scene.carried}
         return found | {name: held[name].numpy() for name in scene.shown if name not in found}
 
-    def _e_velocity(self) -> np.ndarray:
-        """[n_e, 3] m/s at which the E themselves move, (19): with the surface, while the liquid flows past them."""
-        film, e, n = self.film, self.state.e, self.film.n_e
-        u = e.u.numpy()[:n]
-        if film.features.single:
-            return u
-        if not film.features.moving:
-            return np.zeros_like(u)
-        normal = e.normal.numpy()[:n]
-        along = self.state.motion.numpy()[e.region.numpy()[:n]]
-        return along + np.sum((u - along) * normal, axis=1, keepdims=True) * normal
-
     def diagnostics(self) -> dict:
         """Everything worth a line of the run's log; plain numbers (reads back)."""
         film, state, stepper = self.film, self.state, self.stepper
@@ -550,26 +537,24 @@ class Simulation:
             "time": state.time,
             "dt": self._last_dt,
             "substeps": self._substeps,
-            "solvers": self._solver_reports(),
+            "solvers": stepper.report_solves(),
             "e_count": film.n_e,
             "l_count": film.n_l,
             "area": float(gas[:, 4].sum()),
             "volume": float(gas[:, 0].sum()) if closed else None,
             "pressure": float(gas[0, 1]) if closed else None,
-            **(self._foam_diagnostics(gas) if film.features.foam else {}),
+            "e_spread": 0.0,
+            **stepper.report(),
             **(self._border_diagnostics() if film.features.collects else {}),
-            **(stepper.circulation.diagnostics() if film.features.circulation else {}),
             **(self.burst.diagnostics() if self.burst is not None else {}),
             "mass": sums[0],
             "surfactant": sums[1],
             **self._totals(),
-            **{stage.name: told for stage in stepper.extras if (told := stage.report())},
             "momentum": sums[2:5].tolist(),
             "kinetic_energy": sums[5],
             "surface_energy": self._surface_energy(),
             "max_speed": math.sqrt(sums[6]),
             **self._thickness_diagnostics(sums),
-            "e_spread": float(stepper.redistribution.spread.numpy()[:, 0].max()) if stepper.redistribution else 0.0,
             "lost": len(stepper.lists.strays),
             "notices": dict(self.notices.of_frame),
             **({"budget": self.ledger.line()} if self.ledger is not None else {}),
@@ -626,16 +611,6 @@ class Simulation:
         border = self.state.border.numpy().tolist()
         return {"border_mass": border[0], "border_surfactant": border[1], "rim_impulse": border[2:5]}
 
-    def _foam_diagnostics(self, gas: np.ndarray) -> dict:
-        return {
-            "regions": list(self.film.labels),
-            "volumes": gas[:, 0].tolist(),
-            "pressures": gas[:, 1].tolist(),
-            "gas": gas[:, 2].tolist(),
-            "covered": float(np.minimum(self.stepper.membrane.cover.numpy(), 1.0).mean()),
-            "spilled": self.spilled,
-        }
-
     def _sums(self) -> np.ndarray:
         film, state = self.film, self.state
         if self.burst is not None and self.burst.torn:
@@ -655,31 +630,13 @@ class Simulation:
 
     def _surface_energy(self) -> float:
         film, s = self.film, self.stepper
-        cover, energy = s.membrane.cover if film.features.foam else None, film.parts(wp.float64)
+        cover, energy = s.membrane.cover if s.membrane is not None else None, film.parts(wp.float64)
         film.launch_parts(
             kd.energy_chunks,
             [s.geometry.area, s.fields.gamma, self.state.e.region, film.tension, film.slope, cover, film.n_e],
             [energy],
         )
         return float(energy.numpy().sum())
-
-    def _solver_reports(self) -> dict:
-        s, reports = self.stepper, {}
-        if s.membrane is not None and not s.membrane.explicit:
-            reports["membrane"] = s.membrane.response.report()
-        if s.tangential is not None and s.tangential.solver is not None:
-            reports["surfactant"] = s.tangential.solver.report()
-        if s.tangential is not None and s.tangential.viscous is not None:
-            reports["viscosity"] = s.tangential.viscous.report()
-        if s.circulation is not None:
-            reports["circulation"] = s.circulation.solver.report()
-        if s.redistribution is not None:
-            reports["redistribution"] = s.redistribution.solver.report()
-        lines = {name: {"iterations": i, "residual": r} for name, (i, r) in reports.items()}
-        for name, account in s.accounts.items():
-            lines.setdefault(name, {})
-            lines[name] |= {"solves": account.solves, "unsolved": account.late, "worst": account.worst}
-        return lines
 
     def back(self) -> None:
         """Return to the last good frame, from within a frame that was interrupted."""
@@ -735,7 +692,7 @@ class Simulation:
             InputError: the file cannot be read or does not fit the scene.
         """
         read = checkpoint.read(path, self.scene, changed)
-        compile_kernels(Features.of(self.scene, read.course.holed).kernels(), self.device)
+        compile_kernels(kernel_files(Features.of(self.scene, read.course.holed)), self.device)
         state = read.make_state(self.scene, self.device)
         self.stepper = make_stepper(film_of(self.scene, state, **read.film), state)
         self.notices.load(read.notices)

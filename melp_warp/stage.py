@@ -1,67 +1,69 @@
-"""The stages of a step, as a table, and the form of those that a scene brings along (docs/stages.md)."""
+"""The form of a stage of the step: the package's own and those that a scene brings along (docs/stages.md)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from melp_warp.errors import require
 
 if TYPE_CHECKING:
+    from melp_warp.device.linear import ConjugateGradient, RationalLaplacian
+    from melp_warp.features import Features
+    from melp_warp.stages.notices import Notices
     from melp_warp.stepping.stepper import Stepper
-
-
-class Row(NamedTuple):
-    """A stage of the step.
-
-    Attributes:
-        name: as in errors and in the log.
-        equation: of MELP 2022.
-        velocity: what `State.e.u` is once it is done.
-        of_l: whether its largest kernels have a thread an L.
-        later: whether it comes after E have moved, when their lists may have to be rebuilt.
-    """
-
-    name: str
-    equation: str
-    velocity: str
-    of_l: bool = False
-    later: bool = False
-
-
-TABLE = (
-    Row("neighbors", "(27), (28)", "that of the step before"),
-    Row("l_to_e", "(6), (7)", "along the film from the L, across it kept: at the start of the step", of_l=True),
-    Row("membrane", "(12)", "across the film at the end of the step, along it at its start"),
-    Row("surfactant", "(14), (15)", "after the share theta of the step (`Tangential.theta`)"),
-    Row("e_to_l", "(16)-(18), (8)", "at the end of the step", of_l=True),
-    Row("advance_e", "(19), (20)", "at the end of the step, E have moved"),
-    Row("geometry", "(9)-(11)", "at the end of the step, normals, areas and volumes are those of it", later=True),
-    Row("advance_l", "Algorithm 7", "at the end of the step, L have moved", of_l=True, later=True),
-)
-"""The stages in their order. A single layer has surfactant before membrane, and none of those of L."""
 
 SIZES = ("e", "l", "r")
 """Lengths that what a stage remembers may have, besides numbers: those of E, L and regions."""
 
 
-class Stage:
-    """A part of the step that a scene brings along; derive from it.
+class Solve(NamedTuple):
+    """A kind of linear solve in a stage.
 
-    Within `run` it launches kernels, copies and clears by `melp_warp.device.launch` alone, as all stages do: the step
-    is recorded once and replayed. What changes from step to step is read from arrays that `prepare` has set
+    Attributes:
+        solvers: those that must end within their tolerance.
+        report: gives iterations and residual of the last one (reads back); None for none.
+    """
+
+    solvers: tuple[ConjugateGradient | RationalLaplacian, ...]
+    report: Callable[[], tuple[int, float]] | None = None
+
+
+class Stage:
+    """A part of the step. A scene's own derives from it, as those of the package do (`melp_warp.stepping.step`).
+
+    Within `run` it launches kernels, copies and clears by `melp_warp.device.launch` alone: the step is recorded once
+    and replayed. What changes from step to step is read from arrays that `prepare` has set
     (`melp_warp.device.scalars.Setting`).
 
     Attributes:
-        name: of its own.
-        after: name of the row of `TABLE` that it follows.
+        name: as in errors and in the log.
+        equation: of MELP 2022, for those that have one.
+        velocity: what `State.e.u` is once it is done; "" for what it was before.
+        after: of a scene's own, the name of the stage that it follows.
+        needs: parts of the stepper without which it cannot run: a film that has them not goes without the stage; a
+            scene's own is refused there.
+        writes: the arrays of the state that it changes, "e.u". Where it leaves a number in the positions and velocities
+            of the first one's particles that is not finite, the run stops and names it.
+        kernels: files of `melp_warp.kernels` whose kernels it launches itself.
+        of_l: whether its largest kernels have a thread an L.
+        recorded: whether it is part of the step's graphs; others run on the host, before them.
+        later: whether it comes after E have moved, when their lists may have to be rebuilt.
         remembers: what it carries from step to step, name -> (Warp type, length): "e", "l", "r" or a number. It is part
             of the state, so of checkpoints too; 0 at the start, and anew where regions change.
-        stepper: all other stages, the film and its state.
+        stepper: all other stages and parts, the film and its state.
     """
 
     name: str = ""
+    equation: str = ""
+    velocity: str = ""
     after: str = "e_to_l"
+    needs: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    kernels: tuple[str, ...] = ()
+    of_l: bool = False
+    recorded: bool = True
+    later: bool = False
     remembers: Mapping[str, tuple[Any, str | int]] = {}
 
     def __init__(self, stepper: Stepper):
@@ -77,12 +79,29 @@ class Stage:
     def run(self) -> None:
         """Launch its kernels."""
 
+    def run_guarded(self) -> None:
+        """The same, and have a look at what it has written: what is recorded of it."""
+        self.run()
+        self.stepper.guard(self)
+
     def check(self) -> None:
         """Raise `SimulationError` if something went wrong (may read back): after each step on the CPU."""
 
-    def report(self) -> dict:
-        """What the log says of it under its name, plain numbers (may read back); {} for nothing."""
+    def solves(self) -> dict[str, Solve]:
+        """Its linear solves by kind, as the log names them."""
         return {}
+
+    def remark(self, notices: Notices) -> None:
+        """Note what must be known of the frame's steps (may read back)."""
+
+    def report(self) -> dict:
+        """What the log says of it, plain numbers (may read back), a scene's own under its name; {} for nothing."""
+        return {}
+
+
+def kernels_of(kind: Any, features: Features) -> tuple[str, ...]:
+    """Files of `melp_warp.kernels` that a part or a stage of a film launches from; a part's may depend on the film."""
+    return kind.kernels(features) if callable(kind.kernels) else kind.kernels
 
 
 def check_stages(stages: tuple[Any, ...]) -> None:
@@ -91,14 +110,18 @@ def check_stages(stages: tuple[Any, ...]) -> None:
     Raises:
         InputError: it is none, or its name is taken.
     """
+    if not stages:
+        return
+    from melp_warp.stepping.parts import CARRIERS  # which imports scenes
+
+    own = {stage.name: stage for carrier in CARRIERS.values() for stage in carrier.stages}
     names = [getattr(one, "name", one) for one in stages]
     right = all(isinstance(one, type) and issubclass(one, Stage) for one in stages)
     require(right, "stages", names, "classes derived from Stage")
-    taken = {row.name for row in TABLE}
-    free = all(isinstance(name, str) and name.isidentifier() and name not in taken for name in names)
+    free = all(isinstance(name, str) and name.isidentifier() and name not in own for name in names)
     require(free and len(set(names)) == len(names), "names of stages", names, "names of their own, each once")
+    places = [name for name, stage in own.items() if stage.recorded]
     for one in stages:
-        places = [row.name for row in TABLE[1:]]
         require(one.after in places, f"after of stage {one.name}", one.after, f"one of {', '.join(places)}")
         for key, (_, size) in one.remembers.items():
             right = key.isidentifier() and (size in SIZES or (isinstance(size, int) and size > 0))

@@ -37,7 +37,9 @@ from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.shapes import StarShaped
 from melp_warp.simulation import Simulation
-from melp_warp.stepping.stepper import STAGES
+from melp_warp.stepping.step import TABLE
+
+STAGES = [stage.name for stage in TABLE]
 
 
 def scene_of(name: str, **keys) -> Scene:
@@ -145,7 +147,7 @@ def time_frame(sim: Simulation) -> dict:
     sim.advance_frame()
     wp.synchronize_device(sim.device)
     wall, steps = 1e3 * (time.perf_counter() - began), len(sim.step_seconds) - before
-    stages = {stage: 1e3 * sim.stepper.wall[stage] / steps for stage in STAGES}
+    stages = {stage: 1e3 * sim.stepper.wall.get(stage, 0.0) / steps for stage in STAGES}
     return {"frame_ms": wall, "steps": steps, "step_ms": wall / steps, "stages": stages}
 
 

@@ -12,7 +12,7 @@ import argparse
 import datetime
 from pathlib import Path
 
-from melp_warp.stepping.budget import RAISED
+from melp_warp.stepping.ledger import RAISED
 from melp_warp.study.energy_cases import CASES, EnergyCase, Found, run_case
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "energy.md"

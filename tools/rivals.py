@@ -250,7 +250,7 @@ def step_by_speed(sim: Simulation, duration: float) -> None:
         SimulationError: the state broke, or more than MOST_STEPS are wanted.
     """
     reach = sim.scene.numerics.cfl * sim.film.spacing
-    dt = reach / sim.stepper.wave_speed
+    dt = reach / sim.stepper.carrier.wave_speed
     while sim.time < duration - 1e-9:
         sim.step(min(dt, duration - sim.time))
         sim.stepper.check()

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from melp_warp.errors import InputError, require
-from melp_warp.stepping.budget import KINDS, LOSS, RAISED, STORE, TERMS
+from melp_warp.stepping.ledger import KINDS, LOSS, RAISED, STORE, TERMS
 
 
 def read_budget(folder: Path) -> list[dict]:

@@ -39,6 +39,9 @@ class EulerianAdvance:
         x_old: [n] positions before the step, m.
     """
 
+    needs = ("lists", "geometry")
+    kernels = ("advance", "redistribute", "linear")
+
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         shifted = film.numerics.redistribution > 0.0 and not film.features.holed
@@ -125,6 +128,9 @@ class Redistribution:
 
 class LagrangianAdvance:
     """Motion of L with the material, kept on the surface. Made only for films with L."""
+
+    needs = ("lists", "geometry")
+    kernels = ("advance",)
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry

@@ -8,7 +8,6 @@ Both are of the order of the slope squared, as is the error of A itself.
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
 from melp_warp.device.launch import clear
@@ -18,6 +17,7 @@ from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.notices import Notices
+from melp_warp.stages.responses import AirResponse
 from melp_warp.stages.state import State
 
 SLOPE = 0.25
@@ -35,21 +35,16 @@ class AirRange:
     grown by is taken from the normal motion. Within it nothing is measured nor changed.
     """
 
-    def __init__(
-        self,
-        film: Film,
-        state: State,
-        lists: NeighborLists,
-        geometry: Geometry,
-        poles: tuple[np.ndarray, np.ndarray],
-        low: float,
-    ):
+    needs = ("lists", "geometry", "response")
+    kernels = ("air_range", "linear")
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, response: AirResponse):
         self.film, self.state, self.geometry = film, state, geometry
         arrays = [geometry.weight, geometry.area, lists.ee.rows]
         self.solver = RationalLaplacian(
             film.n_e, film.total, *arrays, TOLERANCE, film.numerics.max_iterations, film.device
         )
-        self.solver.set_function(*(p.astype(complex) for p in poles), low)
+        self.solver.set_function(*(p.astype(complex) for p in response.poles), response.low)
         self.found = film.zeros(5, wp.float64)
         self._centre = film.zeros(1, wp.vec3)
         self._middle, self._slopes, self._energy = film.parts(ka.vec4d), film.parts(wp.vec2d), film.parts(wp.float64)

@@ -21,6 +21,9 @@ class Carriage:
         u, mass, eta: [n_l] what a second pass may write over.
     """
 
+    needs = ("transfer",)
+    kernels = ("carried", "circulation")
+
     def __init__(self, film: Film, state: State, transfer: Transfer):
         self.film, self.state, self.transfer = film, state, transfer
         self.of_e = {one.name: film.zeros(film.n_e) for one in state.declared}

@@ -38,6 +38,9 @@ class Circulation:
         psi: [n] stream function of what was restored, m^2/s.
     """
 
+    needs = ("lists", "geometry", "transfer", "rim")
+    kernels = ("circulation", "linear")
+
     def __init__(
         self,
         film: Film,

@@ -18,6 +18,9 @@ class AirDrag:
         all: [1] 1: the share of the kick that E get at the end of a step.
     """
 
+    needs = ()
+    kernels = ("drag",)
+
     def __init__(self, film: Film, state: State):
         self.film, self.state = film, state
         self.kick, self.force = film.zeros(film.regions, wp.vec3), film.zeros(film.regions, wp.vec3)

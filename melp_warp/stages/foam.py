@@ -22,17 +22,14 @@ from melp_warp.kernels import line_forces as kl
 from melp_warp.kernels import motion as ko
 from melp_warp.kernels import regions as kr
 from melp_warp.kernels.native import CORNERS
-from melp_warp.stages.carriage import Carriage
-from melp_warp.stages.circulation import Circulation
 from melp_warp.stages.drag import AirDrag
 from melp_warp.stages.film import CONTACT_REACH, Film
+from melp_warp.stages.foam_surface import FoamGeometry, FoamLists
 from melp_warp.stages.forces import Forces
-from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.membrane import close_volume
-from melp_warp.stages.neighbors import NeighborLists, check_room, fixed_rows
+from melp_warp.stages.neighbors import check_room, fixed_rows
 from melp_warp.stages.state import State
 from melp_warp.stages.surfactant import Fields
-from melp_warp.stages.transfer import Transfer
 
 CONTACT_ROOM = 70
 """Room for the E that one E presses on, besides its star, over `Film.room`."""
@@ -59,9 +56,6 @@ LEASH = 0.8
 JOINS = 4
 """Pairs of sweeps in which clusters are found; each may double the number of bubbles in a row that they reach."""
 
-EXCHANGE_INTERVAL = 1.0 / 240.0
-"""Least time between two exchanges of liquid, s."""
-
 
 def make_contact(film: Film) -> kc.Contact:
     """The constants of `kernels.contact.Contact` for a film's spacing and tension; `lag` is set when the run starts."""
@@ -73,81 +67,6 @@ def make_contact(film: Film) -> kc.Contact:
     contact.reach, contact.give, contact.range = CONTACT_REACH * dx, 0.25 * dx, n.border * dx
     contact.cling = 2.0 * film.material.film_tension
     return contact
-
-
-class Exchange:
-    """Liquid that crosses between films that touch (section 5.5). Made only where a scene asks for it.
-
-    The paper lets L change sides by chance; here each gives a share of what it has, as large as that chance: what is
-    smooth stays smooth. Liquid crosses before the first step that ends `EXCHANGE_INTERVAL` or more after the last
-    exchange.
-
-    Attributes:
-        due: whether it does before the step to come.
-    """
-
-    def __init__(
-        self,
-        film: Film,
-        state: State,
-        geometry: Geometry,
-        fields: Fields,
-        transfer: Transfer,
-        circulation: Circulation | None,
-        carriage: Carriage | None,
-    ):
-        self.film, self.state, self.geometry, self.fields, self.carriage = film, state, geometry, fields, carriage
-        self.transfer, self.circulation = transfer, circulation
-        self.contact = make_contact(film)
-        self.due, self._time = False, Setting(film.device)
-        self._over, self._left = film.zeros(film.n_e), film.zeros(film.n_e)
-        self._gained, self._pushed = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e, wp.vec3)
-
-    def prepare(self, dt: float) -> None:
-        """Set whether and how much crosses before a step of dt (s)."""
-        course, end = self.state.course, self.state.time + dt
-        self.due = end - course.crossed > EXCHANGE_INTERVAL and not course.tears  # torn films hold none
-        if self.due:
-            self._time.at(self.film.numerics.exchange * (end - course.crossed))
-            course.crossed = end
-
-    def apply(self, dt: wp.array) -> None:
-        """Let liquid cross; follows the lists between E and L. E are to gather it anew."""
-        film, e, lag, transfer, lists = self.film, self.state.e, self.state.l, self.transfer, self.transfer.lists
-        transfer.l_to_e()
-        carried = None
-        if self.circulation is not None:
-            self.circulation.gather()
-            carried = self.circulation.carried
-        self.fields.update()
-        area, claim, across = self.geometry.area, transfer.claim, [lists.eo.rows, self.contact]
-        film.launch_e(kx.weigh_across_e, [e.x, e.normal, area, claim, *across], [self._over])
-        more = self.carriage
-        for name in more.of_e if more is not None else ():
-            more.spare()
-            self._cross(more.gather(name), None, [more.u, more.mass, self.state.carried[name], more.eta, None], dt)
-        self._cross(e.surfactant, carried, [lag.u, lag.mass, lag.surfactant, lag.eta, lag.circulation], dt)
-
-    def _cross(self, amount: wp.array, turning: wp.array | None, held: list, dt: wp.array) -> None:
-        """Let L exchange what they have, `held`, with an `amount` [n_e] that E know of it."""
-        film, e, transfer, lists = self.film, self.state.e, self.transfer, self.transfer.lists
-        claim = transfer.claim
-        film.launch_e(
-            kx.cross_e,
-            [
-                *(e.x, e.normal, e.u, e.mass, amount, self.geometry.area, claim, self.fields.gamma, turning),
-                *(self._over, lists.eo.rows, self.contact, self._time.array, dt),
-            ],
-            [self._left, self._gained, self._pushed],
-        )
-        film.launch_l(
-            kx.cross_l,
-            [
-                *(e.normal, e.u, claim, self._left, self._gained, self._pushed),
-                *(transfer.weight, lists.le.rows, film.material.density),
-            ],
-            held,
-        )
 
 
 class FoamMembrane:
@@ -163,12 +82,23 @@ class FoamMembrane:
         added: [regions] mass of the air that moves along, kg/m^2.
         whole: [regions] inertia of each region as a whole, kg.
         bent: [regions] turn of normals that counts as a bend.
+        at_rest: [regions] what lists move along with: those between regions move along with none.
+        rigid: None; a single film has it.
     """
 
-    explicit = False
+    needs = ("lists", "geometry", "fields", "forces", "drag")
+    kernels = ("foam", "contact", "line_forces", "regions", "exchange", "motion", "gas", "linear")
+    rigid = None
 
     def __init__(
-        self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields, forces: Forces
+        self,
+        film: Film,
+        state: State,
+        lists: FoamLists,
+        geometry: FoamGeometry,
+        fields: Fields,
+        forces: Forces,
+        drag: AirDrag | None,
     ):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.fields, self.forces = fields, forces
@@ -180,7 +110,8 @@ class FoamMembrane:
         self._braked = film.zeros(n, wp.vec2)
         self.u_mid, self.load, self._mass, self._outer = (film.zeros(n) for _ in range(4))
         self.start, self.frame, self.passed = (film.zeros(film.regions, wp.vec3) for _ in range(3))
-        self.drag = AirDrag(film, state) if film.features.dragged else None
+        self.at_rest = film.zeros(film.regions, wp.vec3)
+        self.drag = drag
         self.push, self.ahead = film.zeros(film.regions), film.zeros(film.regions)
         self.bent, self.reach = film.zeros(film.regions), film.r
         self.added, self._bare = film.zeros(film.regions), film.zeros(film.regions)
@@ -334,6 +265,24 @@ class FoamMembrane:
             film.launch_e(ko.push_whole_e, [e.normal, e.region, kick, self.drag.all], [e.u])
         film.launch_regions(ko.frame_motion_r, [motion, self._pull, kick, dt], [self.frame])
         film.launch_e(kf.move_foam_e, [e.u, e.normal, e.region, motion, self.frame], [self.u_mid])
+
+    def slow_down(self, theta: wp.array, dt: wp.array) -> None:
+        """The air has held back each region in the solve."""
+
+    def find_frame(self) -> None:
+        """The solve has set `frame`."""
+
+    def report(self) -> dict:
+        """What the log says of the regions: their numbers, gas, how far they are covered and what they lost."""
+        gas = self.state.gas.numpy()
+        return {
+            "regions": list(self.film.labels),
+            "volumes": gas[:, 0].tolist(),
+            "pressures": gas[:, 1].tolist(),
+            "gas": gas[:, 2].tolist(),
+            "covered": float(np.minimum(self.cover.numpy(), 1.0).mean()),
+            "spilled": self.state.course.spilled,
+        }
 
     def find_motion_at(self, theta: wp.array) -> None:
         """Set `passed` to the velocity of each region as a whole after the share theta [1] of the step."""

@@ -20,6 +20,8 @@ from melp_warp.stages.film import Film
 from melp_warp.stages.state import State
 
 if TYPE_CHECKING:
+    from melp_warp.stages.free_rim import TornFilm
+    from melp_warp.stages.geometry import Geometry
     from melp_warp.stages.surfactant import Fields
 
 _KERNEL = """
@@ -104,8 +106,11 @@ class Forces:
         ease: [n_e] what fluxes of (14) count times, as velocities change less; None where it is 1.
     """
 
-    def __init__(self, film: Film, state: State, fields: Fields, gain: wp.array | None, hung: wp.array | None):
-        """From what fluxes of (14) count times and what hangs on E: see `ease` and `heavy`."""
+    needs = ("fields", "geometry", "edge")
+    kernels = ("forces",)
+
+    def __init__(self, film: Film, state: State, fields: Fields, geometry: Geometry, edge: TornFilm | None):
+        gain, hung = geometry.gain, edge.inertia if edge is not None else None
         self.film, self.state, self._fields, self._gain, self._hung = film, state, fields, gain, hung
         n, device, mass = film.n_e, film.device, state.e.mass
         self.body = film.zeros(n, wp.vec3)

@@ -148,6 +148,9 @@ class TornFilm(FreeRim):
         inertia: [n_e] what resists across the film, kg.
     """
 
+    needs = ("lists", "geometry", "fields")
+    kernels = ("free_rim",)
+
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, fields: Fields):
         super().__init__(film, state, lists, fields)
         self._area, self._air = geometry.area, 0.0

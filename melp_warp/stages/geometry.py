@@ -6,14 +6,12 @@ import warp as wp
 
 from melp_warp.device.launch import copy
 from melp_warp.kernels import cells as kc
-from melp_warp.kernels import foam as kf
 from melp_warp.kernels import gas as kv
 from melp_warp.kernels import geometry as kg
 from melp_warp.kernels.mls import Quadric
-from melp_warp.kernels.native import CORNERS
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.stages.film import Film
-from melp_warp.stages.neighbors import NeighborLists, fixed_rows
+from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.state import State
 
 RIM_WEIGHT = 2.0
@@ -47,13 +45,15 @@ class Geometry:
         near: [pairs] W of each pair of E where they were at the last `update`, 1/m^2; room for such weights between
             the move of E and the next one.
         kappa: [n_e] sum of principal curvatures at the place last asked for, 1/m.
-        star: in foams, the neighbours across the edges of each Voronoi cell.
-        tie: [CORNERS n_e] in foams, w_ij of the star's pairs, symmetric: sum_j w_ij (x_j - x_i) is minus the area's
-            gradient.
-        vector: [n_e] in foams, gradient of the volume of the polyhedron of stars, m^2.
-        share: [n_e] in foams, each E's share of that polyhedron's area, m^2: with it sheets press and cling. Unlike a
-            cell, whose plane and fit say little in a corner, it is never more than the E around are apart.
+        before: [n] normals by which frames are turned outward, where those of E themselves do not do; else None.
+        star, share: empty and None; foams have them (`FoamGeometry`).
     """
+
+    before: wp.array | None = None
+    share: wp.array | None = None
+
+    needs = ("lists",)
+    kernels = ("geometry", "cells", "gas")
 
     def __init__(self, film: Film, state: State, lists: NeighborLists):
         self.film, self.state, self.lists = film, state, lists
@@ -66,19 +66,14 @@ class Geometry:
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
-        self.star, self._found, self.tie, self.vector, self.share = Neighbors(), *4 * (None,)
-        if film.features.foam:
-            self.star = fixed_rows(film.n_e, CORNERS, film.device)
-            self._found, self.tie = (film.zeros(film.n_e * CORNERS) for _ in range(2))
-            self.vector, self.share = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
+        self.star, self._found = Neighbors(), None
 
     def update(self) -> None:
         """Frames, fits and gradient weights, densities, areas and the volume at the present positions."""
         film, e, rows, memory = self.film, self.state.e, self.lists.ee.rows, self.state.memory
         copy(memory.place, e.x)
         copy(memory.facing, e.normal)
-        before = memory.facing if film.features.foam else None
-        film.launch_e(kg.orient_frames_e, [e.x, before, rows, film.r], [e.normal])
+        film.launch_e(kg.orient_frames_e, [e.x, self.before, rows, film.r], [e.normal])
         film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.surface, self.kappa, self.gradient])
         if film.features.closed:
             film.launch_e(kg.sharpen_normal_e, [self.kappa, rows, self.gradient, film.n_e, film.r], [e.normal])
@@ -93,9 +88,6 @@ class Geometry:
         film.launch_e(kc.control_area_e, [self.cell, self._inner, self.near, rows, film.r, film.n_e], [self.area])
         self._weigh_pairs()
         self.measure_volume()
-        if film.features.foam:
-            film.launch_e(kf.pair_star_e, [self.star, self._found], [self.tie])
-            film.launch_e(kf.star_vector_e, [e.x, self.star], [self.vector, self.share])
 
     def again(self) -> None:
         """What the last `update` found, from where E were then; the state stays as it is."""

@@ -5,182 +5,29 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from melp_warp.device.launch import clear, copy, launch
-from melp_warp.device.linear import ConjugateGradient, LinearOperator, RationalLaplacian
+from melp_warp.device.launch import copy, launch
+from melp_warp.device.linear import ConjugateGradient, RationalLaplacian
 from melp_warp.device.scalars import Setting
+from melp_warp.features import Features
 from melp_warp.kernels import drag as kd
 from melp_warp.kernels import gas as kg
 from melp_warp.kernels import membrane as km
 from melp_warp.kernels import motion as ko
-from melp_warp.stages import air
-from melp_warp.stages.air_range import AirRange
 from melp_warp.stages.drag import AirDrag
 from melp_warp.stages.film import Film
 from melp_warp.stages.forces import Forces
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.neighbors import NeighborLists
-from melp_warp.stages.notices import Notices
+from melp_warp.stages.responses import AirResponse, ExplicitResponse, FilmResponse
 from melp_warp.stages.rim import Rim
 from melp_warp.stages.state import State
 from melp_warp.stages.surfactant import Fields
-
-SWEEPS = 2
-"""Corrections for an uneven film mass where the air takes part; each shrinks the error by |m - mean|/(m + A)."""
-
 
 MIDPOINT_CFL = 8.0
 """Spacings that the shortest wave may run in a step of the midpoint rule; beyond, it goes over to backward Euler."""
 
 OFFSET_LIMIT = 0.1
 """Largest offset that mends the volume in one step, in spacings."""
-
-
-def _softer(bent: float, mass: float) -> float:
-    """What the bend of a film takes off the matrix, as `kernels.membrane.softening`. kg/m^2."""
-    return bent * max(1.0 - 8.0 * bent / mass, 0.0)
-
-
-def _blur(film: Film, geometry: Geometry) -> float:
-    """What the inertia makes up for, m^2; nothing where that jumps at a free rim: the matrix has to stay definite."""
-    return 0.0 if film.features.holed else geometry.blur(film.numerics.curvature)
-
-
-class _Pair:
-    """Right-hand side and solution."""
-
-    def __init__(self, film: Film):
-        self.b, self.x = film.zeros(film.n_e), film.zeros(film.n_e)
-
-
-class FilmResponse:
-    """Change of normal velocity under a load, (m (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b, without air.
-
-    Attributes:
-        inertia: [n_e] what resists a change, kg: see `Forces.heavy`.
-        left_out: [1] what of c 2/R^2 is not in the matrix where steps are long, at the mean mass, kg/m^2.
-    """
-
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, inertia: wp.array):
-        self.film, self.state, self.geometry, self.inertia = film, state, geometry, inertia
-        operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
-        numerics = film.numerics
-        self.load, self.unit = (
-            ConjugateGradient(operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations, x=guess)
-            for guess in (state.memory.load, state.memory.unit)
-        )
-        self.solvers = (self.load, self.unit)
-        self.diag, self._operator = operator.diag, operator
-        self._blur = _blur(film, geometry)
-        self._stiffness, self._left_out = Setting(film.device), Setting(film.device)
-        self.left_out = self._left_out.array
-
-    def prepare(self, stiffness: float) -> None:
-        """Set c = 2 sigma theta^2 dt^2 (N s^2/m = kg)."""
-        self._stiffness.at(stiffness)
-        bent = 2.0 * stiffness / self.film.radius**2
-        self._left_out.at(bent - _softer(bent, self.film.material.areal_mass))
-
-    def solve(self) -> tuple[wp.array, wp.array]:
-        """Responses to the load `load.b` and to the unit pressure `unit.b`, the last ones as first guesses."""
-        film, geometry, operator = self.film, self.geometry, self._operator
-        film.launch_e(
-            km.stiffen_pairs_e,
-            [
-                *(self.inertia, geometry.area, geometry.weight, operator.rows),
-                *(film.n_e, self._stiffness.array, self._blur, 2.0 / film.radius**2),
-            ],
-            [operator.diag, operator.pair],
-        )
-        self.load.solve()
-        if self.film.features.closed:
-            self.unit.solve()
-        return self.load.x, self.unit.x
-
-    def report(self) -> tuple[int, float]:
-        """Iterations and residual of the last load solve."""
-        return self.load.report()
-
-
-class AirResponse:
-    """The same with the air's added mass: ((m + A(-lap_s)) (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b.
-
-    Attributes:
-        left_out: as that of `FilmResponse`.
-    """
-
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, inertia: wp.array):
-        self.film, self.geometry, self.state, self.inertia = film, geometry, state, inertia
-        numerics, n = film.numerics, film.n_e
-        self.solver = RationalLaplacian(
-            n,
-            film.total,
-            geometry.weight,
-            geometry.area,
-            lists.ee.rows,
-            numerics.tolerance,
-            numerics.max_iterations,
-            film.device,
-        )
-        self.solvers = (self.solver,)
-        self.load, self.unit = _Pair(film), _Pair(film)
-        self.diag = film.zeros(n)
-        self.mean = wp.full(1, film.material.areal_mass, dtype=wp.float32, device=film.device)
-        self.low = 2.0 / _size(film) ** 2
-        self.poles = air.fit_poles(
-            self.low,
-            4.0 * (np.pi / film.spacing) ** 2,
-            film.surroundings.air_density,
-            film.radius,
-            geometry.blur("sph"),
-            film.air,
-        )
-        self._blur = geometry.blur(numerics.curvature)
-        self._stiffness, self._left_out = -1.0, Setting(film.device)
-        self.left_out = self._left_out.array
-        self._load_scalar = wp.clone(self.solver.scalar)
-
-    def prepare(self, stiffness: float) -> None:
-        """Set c; new partial fractions only where it changed."""
-        if stiffness != self._stiffness:
-            film = self.film
-            mass = film.material.areal_mass
-            ringing = mass + film.air.waves(3.0 * self.low, film.surroundings.air_density, film.radius)
-            bent = 2.0 * stiffness / film.radius**2
-            softer = _softer(bent, float(ringing))
-            self._left_out.at(bent - softer)
-            new = air.response(mass, stiffness, *self.poles, self._blur, softer)
-            self.solver.set_function(*new, self.low)
-            self._stiffness = stiffness
-
-    def solve(self) -> tuple[wp.array, wp.array]:
-        """As `FilmResponse.solve`."""
-        self._respond(self.load)
-        copy(self._load_scalar, self.solver.scalar)
-        if self.film.features.closed:
-            self._respond(self.unit)
-        return self.load.x, self.unit.x
-
-    def _respond(self, pair: _Pair) -> None:
-        clear(pair.x)
-        if self.film.forces:
-            clear(self.solver.b)  # what the sweeps of an E that is held go on from
-        for _ in range(SWEEPS):
-            self.film.launch_e(
-                km.lower_residual_e,
-                [pair.b, self.inertia, self.geometry.area, self.mean, pair.x],
-                [self.solver.b],
-            )
-            self.solver.solve()
-            copy(pair.x, self.solver.x)
-
-    def report(self) -> tuple[int, float]:
-        """Iterations and residual of the last load solve."""
-        return self.solver.report(self._load_scalar)
-
-
-def _size(film: Film) -> float:
-    """Radius of a closed film, and of the disc of the area of an open one, m."""
-    return film.radius if np.isfinite(film.radius) else film.spacing * float(np.sqrt(film.n_e / np.pi))
 
 
 def _shortest_wave_speed(film: Film) -> float:
@@ -198,7 +45,6 @@ class Membrane:
     velocity is solved for: rigid motion and free flight cost nothing and are not damped.
 
     Attributes:
-        air_range: keeps the air from making energy; None without air or for an open film.
         theta: 1 for backward Euler, 1/2 for the midpoint rule. The midpoint rule keeps every wave, those too that a
             large step does not resolve, and the operator in the matrix is softer for the shortest than the force: they
             grow. So theta rises to 1 where the shortest wave runs more than `MIDPOINT_CFL` spacings in a step.
@@ -207,12 +53,21 @@ class Membrane:
         ahead: [1] theta dt, s: how far ahead the force is taken; 0 for the explicit scheme.
         rigid_air: air that a translation takes along, kg/m^2; `taken` [regions] the same.
         blur: of the curvature, for which the inertia makes up, m^2.
-        lumped: air that every wave of a single layer takes along, that of mode n = 2, kg/m^2.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         start: [1] velocity of the film as a whole at the start of the step, m/s.
         frame: [1] the same in the step; that of its end is `State.motion`.
         passed: [1] the same after the share of the step that `find_motion_at` was asked for.
+        at_rest: [1] what lists move along with: they are of one film, `frame`.
+        cover, drift: None; foams have them.
     """
+
+    needs = ("lists", "geometry", "fields", "forces", "rim", "response", "drag")
+    cover = drift = None
+
+    @staticmethod
+    def kernels(features: Features) -> tuple[str, ...]:
+        """Files of kernels."""
+        return "membrane", "motion", "gas", *(("drag",) if features.dragged else ())
 
     def __init__(
         self,
@@ -223,14 +78,15 @@ class Membrane:
         fields: Fields,
         forces: Forces,
         rim: Rim | None,
+        response: FilmResponse | AirResponse | ExplicitResponse,
+        drag: AirDrag | None,
     ):
         self.film, self.state, self.geometry, self.fields = film, state, geometry, fields
-        self.forces, self.rim, self.lists = forces, rim, lists
+        self.forces, self.rim, self.lists, self.response, self.drag = forces, rim, lists, response, drag
         self.explicit = film.features.explicit
         self.midpoint = film.numerics.scheme == "trapezoid" and not self.explicit
         self.theta = 0.5 if self.midpoint else 1.0
-        flowing = film.numerics.flow == "midpoint" and not film.features.single
-        self.theta_whole = 0.5 if self.midpoint or flowing else 1.0
+        self.theta_whole = 0.5 if self.midpoint or film.features.flow == "midpoint" else 1.0
         self._wave_speed = _shortest_wave_speed(film)
         n = film.n_e
         self.predicted = film.zeros(film.total, wp.vec3)
@@ -243,25 +99,14 @@ class Membrane:
         self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
         self.net, self.net_external = film.parts(wp.vec3), film.parts(wp.vec3)
         self.swept = film.parts(wp.vec3d)
-        self.rigid_air = self.lumped = 0.0
-        if film.features.air:
-            self.rigid_air = film.air.rigid(film.surroundings.air_density, film.radius)
-        if film.features.air and film.features.single:
-            self.lumped = float(film.air.waves(6.0 / _size(film) ** 2, film.surroundings.air_density, film.radius))
-        if film.features.air and not self.explicit:
-            self.response = AirResponse(film, state, lists, geometry, forces.inertia)
-        else:
-            self.response = FilmResponse(film, state, lists, geometry, forces.heavy)
-        self.air_range = None
-        if film.features.air and film.features.closed and not self.explicit:
-            self.air_range = AirRange(film, state, lists, geometry, self.response.poles, self.response.low)
-        self.blur = 0.0 if self.explicit else _blur(film, geometry)
+        self.rigid_air = film.air.rigid(film.surroundings.air_density, film.radius) if film.features.air else 0.0
+        self.blur = response.blur
         self._whole = wp.full(1, self.theta_whole, dtype=wp.float32, device=film.device)
         self.taken = wp.full(film.regions, self.rigid_air, dtype=wp.float32, device=film.device)
-        self.drag = AirDrag(film, state) if film.features.dragged else None
-        self.whole = film.zeros(1) if film.features.dragged else None
+        self.whole = film.zeros(1) if drag is not None else None
         self.ahead, self._theta, self._recoil = (Setting(film.device) for _ in range(3))
         self.share = self.ahead.array if self.explicit else self._theta.array
+        self.at_rest = self.frame
 
     def prepare(self, dt: float) -> None:
         """Set what depends on the step dt (s) to come."""
@@ -283,7 +128,7 @@ class Membrane:
             e = self.state.e
             self.film.launch_e(ko.hold_motion_e, [e.normal, e.region, self.found, self.state.motion], [e.u])
         self._load(self.ahead.array, dt)
-        change, unit = self._respond()
+        change, unit = self.response.solve()
         if self.film.features.closed:
             self._close_gas(change, unit, dt)
             self.film.launch_one(ko.push_motion, [self.rigid, dt], [self.state.motion])
@@ -296,16 +141,22 @@ class Membrane:
     @property
     def solvers(self) -> tuple[ConjugateGradient | RationalLaplacian, ...]:
         """What the normal motion is solved with."""
-        return () if self.explicit else self.response.solvers
+        return self.response.solvers
 
-    def remark(self, notices: Notices) -> None:
-        """Note air beyond its range (reads back)."""
-        if self.air_range is not None:
-            self.air_range.remark(notices)
+    def longest_step(self, speed: float) -> float:
+        """Longest step that it is good for where E have a `speed` (m/s), s: any, or what its user takes."""
+        return np.inf
+
+    def check(self) -> None:
+        """There is nothing to run out of."""
+
+    def report(self) -> dict:
+        """There is nothing to say that is not said of any film."""
+        return {}
 
     def wave_speed(self, mass: float) -> float:
         """Speed of waves across the explicit film where it has the mass per area `mass` (kg/m^2), m/s."""
-        return float(np.sqrt(2.0 * self.film.material.tension / (mass + self.lumped)))
+        return float(np.sqrt(2.0 * self.film.material.tension / (mass + self.response.lumped)))
 
     def start_motion(self) -> None:
         """Take the translation of the film at the start of a run from its velocity."""
@@ -391,15 +242,6 @@ class Membrane:
             self.film.device,
         )
 
-    def _respond(self) -> tuple[wp.array, wp.array]:
-        if self.explicit:
-            for pair in (self.response.load, self.response.unit):
-                self.film.launch_e(
-                    km.explicit_response_e, [pair.b, self.response.diag, self.geometry.area, self.lumped], [pair.x]
-                )
-            return self.response.load.x, self.response.unit.x
-        return self.response.solve()
-
     def _close_gas(self, change: wp.array, unit: wp.array, dt: wp.array) -> None:
         film, e = self.film, self.state.e
         film.launch_parts(
@@ -439,6 +281,8 @@ class Membrane:
 
         The velocity of E is taken for that after the share theta [1] of the step.
         """
+        if self.drag is None:
+            return
         film, e = self.film, self.state.e
         film.launch_regions(kd.find_inertia_r, [self.inertia], [self.whole])
         self.drag.find(self.start, self.whole, None, dt)
@@ -453,20 +297,13 @@ class Membrane:
         """Set `passed` to the velocity of the film as a whole after the share theta [1] of the step."""
         self.film.launch_regions(ko.blend_motion, [self.start, self.state.motion, theta], [self.passed])
 
-    def before_move(self) -> None:
-        """Measure what must not grow as E move."""
-        if self.air_range is not None:
-            self.air_range.measure()
-
-    def after_move(self) -> None:
-        """Once the geometry is found after the move: no energy is made, and volume and pressure obey the gas law."""
-        if self.air_range is not None:
-            self.air_range.damp()
-        self.close_volume()
+    def recall(self) -> None:
+        """After the move: E are where they have moved to."""
 
     def close_volume(self) -> None:
-        """After the move: offset E so that volume and pressure obey the gas law."""
-        close_volume(self.film, self.state)
+        """After the move: offset E so that volume and pressure obey the gas law, if there is gas."""
+        if self.film.features.closed:
+            close_volume(self.film, self.state)
 
 
 def close_volume(film: Film, state: State) -> None:

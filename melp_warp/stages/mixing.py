@@ -30,6 +30,9 @@ class Mixing:
         due: whether L mix before the step to come.
     """
 
+    needs = ("lists", "carriage")
+    kernels = ("mixing",)
+
     def __init__(self, film: Film, state: State, lists: NeighborLists, carriage: Carriage | None):
         self.film, self.state, self.lists, self.carriage = film, state, lists, carriage
         self.due, self._time = False, Setting(film.device)

@@ -120,9 +120,17 @@ class HomeList(NeighborList):
         margin: distance from its home within which an L's neighbours are in the wide row, m.
     """
 
-    def __init__(self, grid: wp.HashGrid, film: Film, state: State, wide: NeighborList, reach: float, margin: float):
+    def __init__(
+        self,
+        grid: wp.HashGrid,
+        film: Film,
+        state: State,
+        wide: NeighborList,
+        reach: float,
+        margin: float,
+        regions: tuple[wp.array, wp.array] | None,
+    ):
         self.home, self.margin, self._wide, self._n_e = film.zeros(film.n_l, wp.int32), margin, wide, film.n_e
-        regions = (state.l.region, state.e.region) if film.features.foam else None
         super().__init__(grid, state.memory.x_l, film.n_l, state.memory.x_e, reach, kn.ALL, regions, times=film.room)
 
     def build(self, grid: wp.HashGrid, x: wp.array, source: wp.array) -> None:
@@ -172,7 +180,7 @@ class BlockList:
 
 
 class NeighborLists:
-    """The lists of a film: E:E (boundary included), L:E, E:L, mirror points:E, and in foams E to E of other regions.
+    """The lists of a film: E:E (boundary included), L:E, E:L, mirror points:E, and E to E of other regions, if several.
 
     `wide` is an E:E list from which those between E and L are made.
 
@@ -189,7 +197,12 @@ class NeighborLists:
             E in the last step; L in the last step; E and L in any step since `forget_leaps`.
         watched: whether the host looks at the device before it decides, which a GPU must be waited for.
         seen: `travel` after a step, with (its dt in s, seconds since the start, builds of E, builds of L).
+        several: whether regions are told apart.
     """
+
+    needs = ()
+    kernels = ("neighbors",)
+    several = False
 
     def __init__(self, film: Film, state: State):
         self.film, self.state = film, state
@@ -214,11 +227,11 @@ class NeighborLists:
     def _make_e(self) -> None:
         """Make the lists of E, for where E were when they were last built."""
         film, memory, of_e = self.film, self.state.memory, self.state.e.region
-        x, n, several, times = memory.x, film.n_e, film.features.foam, film.room
-        of_both, room = ((of_e, of_e), CROWD_ROOM) if several else (None, 8)
+        x, n, times = memory.x, film.n_e, film.room
+        of_both, room = ((of_e, of_e), CROWD_ROOM) if self.several else (None, 8)
         self._grid.build(x, self.reach)
         self.ee = NeighborList(self._grid, x, n, x, self.reach, kn.SAME, of_both, room, times)
-        if several:
+        if self.several:
             reach = film.contact_reach + self.skin
             self.eo = NeighborList(self._grid, x, n, x, reach, kn.OTHER, of_both, FACING_ROOM, times)
         if film.features.lagrangian:
@@ -237,7 +250,8 @@ class NeighborLists:
         else:
             self._build_e(memory.wide)
         self._grid.build(memory.x_e, self.reach)
-        self.le = HomeList(self._grid, film, state, self.wide, self.reach, HOME_MARGIN * film.spacing)
+        regions = (state.l.region, state.e.region) if self.several else None
+        self.le = HomeList(self._grid, film, state, self.wide, self.reach, HOME_MARGIN * film.spacing, regions)
         self.el = BlockList(film, state, self.le)
         if fresh:
             copy(memory.home, self.le.home)

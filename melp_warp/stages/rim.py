@@ -8,6 +8,7 @@ from melp_warp.device.launch import clear, launch
 from melp_warp.device.linear import ConjugateGradient
 from melp_warp.kernels import boundary as kb
 from melp_warp.stages.film import Film
+from melp_warp.stages.forces import Forces
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.state import State
@@ -25,8 +26,11 @@ class Rim:
         energy: [n_l] energy taken since then, of motion, and of height and surfactant, J; None without a budget.
     """
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, gravity: wp.array):
-        self.film, self.state, self.lists, self.geometry, self._gravity = film, state, lists, geometry, gravity
+    needs = ("lists", "geometry", "forces")
+    kernels = ("boundary",)
+
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, forces: Forces):
+        self.film, self.state, self.lists, self.geometry, self._gravity = film, state, lists, geometry, forces.gravity
         self.impulse_e, self.impulse_l, self.collected, self.energy = None, None, None, None
         if film.features.collects:
             self.impulse_e, self.impulse_l = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_l, wp.vec3)
@@ -76,8 +80,10 @@ class Rim:
         self.film.launch_parts(kb.taken_chunks, [self.collected, self.impulse_l, self.impulse_e, self.energy], [part])
 
     def settle(self) -> None:
-        """Add what was taken since the last time to the state. Between steps."""
+        """Add what was taken since the last time to the state, if there are L. Between steps."""
         film = self.film
+        if self.collected is None:
+            return
         self.taken(self._part)
         film.launch_one(kb.add_taken, [self._part], [self.state.border])
         for array in (self.collected, self.impulse_l, self.impulse_e, self.energy):

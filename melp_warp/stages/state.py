@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from melp_warp.carried import Carried
     from melp_warp.particle_set import ParticleSet
     from melp_warp.scene import Scene
-    from melp_warp.stepping.budget import Ledger
+    from melp_warp.stepping.ledger import Ledger
 
 GAS_SLOTS = ("volume", "gauge_pressure", "amount", "increment", "area", "offset")
 VOLUME, GAUGE, AMOUNT, INCREMENT, AREA, OFFSET = range(len(GAS_SLOTS))
@@ -166,7 +166,12 @@ class DropState:
 
 def _guesses(features: Features) -> bool:
     """Whether the solves of the normal motion start from the last solution."""
-    return features.moving and not (features.foam or features.explicit or features.air)
+    return features.response == "film"
+
+
+def _of_foams(features: Features) -> bool:
+    """Whether regions touch."""
+    return features.normal == "foam"
 
 
 @dataclass
@@ -212,11 +217,11 @@ class Memory:
     area: wp.array = _array(wp.float32, "e", lambda f: f.lagrangian and not f.moving)
     load: wp.array = _array(wp.float32, "n", _guesses)
     unit: wp.array = _array(wp.float32, "n", lambda f: _guesses(f) and f.closed)
-    volume: wp.array = _array(wp.float64, "r", lambda f: f.foam)
-    cover: wp.array = _array(wp.float32, "e", lambda f: f.foam)
-    sought: wp.array = _array(wp.vec3, "e", lambda f: f.foam)
-    owed: wp.array = _array(wp.vec4, "r", lambda f: f.foam)
-    spin: wp.array = _array(wp.vec3, "r", lambda f: f.foam)
+    volume: wp.array = _array(wp.float64, "r", _of_foams)
+    cover: wp.array = _array(wp.float32, "e", _of_foams)
+    sought: wp.array = _array(wp.vec3, "e", _of_foams)
+    owed: wp.array = _array(wp.vec4, "r", _of_foams)
+    spin: wp.array = _array(wp.vec3, "r", _of_foams)
     part: wp.array = _array(wp.float64, "p", lambda f: f.budget, SLOTS)
     lying: wp.array = _array(wp.float64, "p", lambda f: f.budget, 9)
     book: wp.array = _array(wp.float64, 4, lambda f: f.budget, SLOTS)

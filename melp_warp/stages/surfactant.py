@@ -10,6 +10,7 @@ import warp as wp
 from melp_warp.device.launch import copy
 from melp_warp.device.linear import ConjugateGradient, LinearOperator
 from melp_warp.device.scalars import Setting
+from melp_warp.features import Features
 from melp_warp.kernels import circulation as kc
 from melp_warp.kernels import surfactant as ks
 from melp_warp.stages.film import Film
@@ -33,6 +34,9 @@ class Fields:
         eta: [n_e] m.
         gamma: [n_e] Gamma/Gamma_0.
     """
+
+    needs = ("geometry",)
+    kernels = ("surfactant",)
 
     def __init__(self, film: Film, state: State, geometry: Geometry):
         self.film, self.state, self.geometry = film, state, geometry
@@ -79,7 +83,7 @@ def drainage_length(film: Film, state: State) -> float:
     holds back alone. Infinite without weight, 0 without surfactant. Reads back.
     """
     g = np.array(film.surroundings.gravity_at(state.time))
-    if film.features.closed and not film.features.foam and not film.features.air:
+    if film.features.floats and not film.features.air:
         g = g * film.surroundings.lift
     normal = state.e.normal.numpy()[: film.n_e].astype(np.float64)
     steepest = float(np.linalg.norm(g - (normal @ g)[:, None] * normal, axis=1).max(initial=0.0))
@@ -112,6 +116,13 @@ class Tangential:
         traction: [n_e] tangential force of uneven tension in the last solve, Pa; None where neither the film recoils
             nor a rim is pulled at.
     """
+
+    needs = ("lists", "geometry", "fields", "forces", "rim")
+
+    @staticmethod
+    def kernels(features: Features) -> tuple[str, ...]:
+        """Files of kernels."""
+        return "surfactant", *(("linear",) if features.marangoni or features.viscous else ())
 
     def __init__(
         self,

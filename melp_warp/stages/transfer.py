@@ -36,6 +36,9 @@ class Transfer:
         lost: [n_l] 1 where no E is near.
     """
 
+    needs = ("lists", "geometry")
+    kernels = ("transfer", "l_lists", "surfactant")
+
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         self.weight = film.zeros(lists.le.rows.index.shape[0])

@@ -235,7 +235,7 @@ def read(path: str | os.PathLike, scene: Scene, changed: bool = False) -> Checkp
             _allow_bursts(header, arrays, scene)
         course = check_course(header["course"], scene)
         features = Features.of(scene, course.holed)
-        film = check_film(header["film"], scene, features.closed and not features.foam)
+        film = check_film(header["film"], scene, features.floats)
         seen = check_seen(header["seen"])
         needed = {name for name, (*_, when) in shapes.items() if when is None or when(features)}
         if not course.labels:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from melp_warp.cluster import Event, Pop
-from melp_warp.stepping.sampling import liquid, normal_part
+from melp_warp.stepping.carriers import normal_part
+from melp_warp.stepping.sampling import liquid
 from melp_warp.stepping.topology import Stored, add_region, merge_regions, pop_region
 
 if TYPE_CHECKING:

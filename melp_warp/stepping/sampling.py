@@ -12,10 +12,9 @@ from melp_warp.cluster import Cluster, Wall
 from melp_warp.device.launch import compile_kernels
 from melp_warp.errors import InputError, require
 from melp_warp.features import Features
-from melp_warp.kernels import transfer as kt
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rim, Samples
-from melp_warp.stages.circulation import curl_of
+from melp_warp.stages.advance import Redistribution
 from melp_warp.stages.film import ROOM, THICKEST, Film, RimArrays
 from melp_warp.stages.state import (
     INCREMENT,
@@ -30,21 +29,14 @@ from melp_warp.stages.state import (
     State,
     allocate,
 )
-from melp_warp.stepping.single_layer import make_stepper
-from melp_warp.stepping.stepper import Stepper
+from melp_warp.stepping.parts import CARRIERS, NORMAL_MOTIONS, kernel_files
+from melp_warp.stepping.stepper import Stepper, make_stepper
 from melp_warp.stepping.topology import Stored
 
 RELAXATION_STEPS = 30
 MOST_RELAXATION_STEPS = 300
 EVEN_ENOUGH = 0.5
 """(delta_max - delta_min)/delta_mean of E at which a start that takes more steps to even out is good enough."""
-
-AREA_STEPS = 4
-
-SUM_STEPS = 4
-
-SINGLE_ROOM = 2.0
-"""Room of the lists of a single layer over that of MELP: where a film gets thicker, its particles get denser."""
 
 WAVE = 5.0
 """Fewest E spacings a wave: the curvature of a shorter one is off by over a quarter, h^2 k^2 times `geometry.BLUR`."""
@@ -219,23 +211,23 @@ def make_film(scene: Scene, device) -> tuple[Film, Stepper]:
         InputError: the scene cannot be sampled as asked.
     """
     features = Features.of(scene)
-    compile_kernels(features.kernels(), device)
+    compile_kernels(kernel_files(features), device)
     require(
-        features.moving or features.lagrangian or features.single,
+        features.moving or features.carrier != "none",
         "l_per_e",
         scene.l_per_e,
         "at least 1 for a flat film, which has no normal motion",
     )
     e, boundary, spacing, origin = _e_state(scene, device)
     lagrangian = _l_state(scene, e.count, spacing, origin, device)
-    labels = scene.shape.initial if features.foam else (0,)
+    labels = scene.shape.initial
     state = State(e, lagrangian, boundary, len(labels), features, origin)
     state.course.labels, state.course.shown = list(labels), origin.tolist()
     film = film_of(scene, state, spacing)
     if features.closed:
         film = replace(film, radius=float(np.sqrt(scene.shape.area / (4.0 * np.pi))))
     if features.moving:
-        _relax(scene, Stepper(replace(film, features=replace(features, stages=())), state))
+        _relax(scene, film, state)
         state.forget()
         if features.closed:
             film = replace(film, radius=float(np.cbrt(3.0 * state.gas.numpy()[0, 0] / (4.0 * np.pi))))
@@ -265,14 +257,14 @@ def film_of(scene: Scene, state: State, spacing: float, room: float | None = Non
     features = Features.of(scene, state.course.holed)
     device, sizes, labels = state.e.x.device, state.sizes, state.course.labels
     counts = np.bincount(state.e.region.numpy()[: sizes["e"]], minlength=sizes["r"])
-    factor = [scene.shape.bubbles[k].tension for k in labels] if features.foam else [1.0]
-    tension = scene.material.tension * np.array(factor, dtype=wp.dtype_to_numpy(wp.float32))
+    factors = scene.shape.tensions(labels)
+    tension = scene.material.tension * np.array(factors, dtype=wp.dtype_to_numpy(wp.float32))
     rim = _rim(scene, spacing) if sizes["e"] else None
     if rim is not None:
         held = (rim.anchors - state.origin, rim.outward, rim.curvature)
         rim = RimArrays(*(wp.array(a, dtype=wp.vec3, device=device) for a in held))
     if room is None:
-        room = ROOM * (SINGLE_ROOM if features.single else 1.0)
+        room = ROOM * CARRIERS[features.carrier].room
     return Film(
         device=device,
         features=features,
@@ -287,7 +279,7 @@ def film_of(scene: Scene, state: State, spacing: float, room: float | None = Non
         tension=wp.array(tension, dtype=wp.float32, device=device),
         labels=tuple(labels),
         seed=scene.seed,
-        walls=_walls_from(state.origin, scene.shape.walls) if features.foam else (),
+        walls=_walls_from(state.origin, scene.shape.walls),
         forces=scene.forces,
         air=scene.air_model,
         rim=rim,
@@ -313,6 +305,12 @@ def state_of(scene: Scene, stored: dict[str, np.ndarray], regions: int, device, 
     state = State(e, lagrangian, boundary, regions, features, time=float(stored["time"]), f=rims, d=drops)
     state.load(stored)
     return state
+
+
+def set_up_again(scene: Scene, stored: Stored, before: State, film: Film) -> tuple[Film, Stepper]:
+    """Film and stepper of a state of other regions or with other holes; arguments as of `set_up_foam`."""
+    set_up = set_up_foam if isinstance(scene.shape, Cluster) else set_up_holed
+    return set_up(scene, stored, before, film)
 
 
 def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tuple[Film, Stepper]:
@@ -379,29 +377,32 @@ def _fill_new_gas(film: Film, state: State, new: np.ndarray) -> None:
     state.gas.assign(gas)
 
 
-def _relax(scene: Scene, stepper: Stepper) -> None:
+def _relax(scene: Scene, film: Film, state: State) -> None:
     """Even out the E on a curved shape, keeping them on it."""
-    if stepper.redistribution is None or scene.shape.even:
+    normal, e, origin = NORMAL_MOTIONS[film.features.normal], state.e, state.origin
+    lists = normal.lists(film, state)
+    geometry = normal.geometry(film, state, lists)
+    geometry.update()
+    if film.numerics.redistribution == 0.0 or scene.shape.even:
         return
-    e, origin = stepper.state.e, stepper.state.origin
+    redistribution = Redistribution(film, state, lists, geometry)
     for done in range(MOST_RELAXATION_STEPS):
-        if done >= RELAXATION_STEPS and stepper.redistribution.spread.numpy()[0, 0] < EVEN_ENOUGH:
+        if done >= RELAXATION_STEPS and redistribution.spread.numpy()[0, 0] < EVEN_ENOUGH:
             break
-        stepper.redistribution.even_out()
+        redistribution.even_out()
         points = e.x.numpy()
         points[: e.count] = scene.shape.project(points[: e.count] + origin) - origin
         e.x.assign(points)
-        stepper.lists.rebuild_e()
-        stepper.geometry.update()
-    if stepper.state.l is not None:
-        stepper.lists.rebuild_l()
+        lists.rebuild_e()
+        geometry.update()
+    if state.l is not None:
+        lists.rebuild_l()
 
 
 def _set_masses(scene: Scene, stepper: Stepper) -> None:
     """Give every particle its area's share of liquid and surfactant."""
     film, state = stepper.film, stepper.state
-    if film.features.single:
-        _share_sums(stepper)
+    stepper.carrier.share_area()
     if state.l is None:
         points = state.e.x.numpy()[: film.n_e] + state.origin
         bubbles = _bubble_of(scene, state.e.region.numpy()[: film.n_e])
@@ -409,7 +410,6 @@ def _set_masses(scene: Scene, stepper: Stepper) -> None:
         state.e.mass.assign(mass)
         state.e.surfactant.assign(amount)
         return
-    _share_area(stepper)
     lag = state.l
     points, area = lag.x.numpy() + state.origin, 1.0 / lag.eta.numpy().astype(np.float64)
     eta, mass, amount = liquid(scene, points, area, _bubble_of(scene, lag.region.numpy()))
@@ -465,44 +465,6 @@ def _bubbles(scene: Scene):
     return [(k, scene.shape.bubbles[label]) for k, label in enumerate(scene.shape.initial)]
 
 
-def _share_area(stepper: Stepper) -> None:
-    """Make the areas of L and the control areas of E agree.
-
-    On a film that stays where it is, the evenly placed L are the better quadrature of a_E, also at the rim. On a
-    curved film the L are put on the surface and their areas scaled until those near each E add up to its own.
-    """
-    film, transfer, geometry = stepper.film, stepper.transfer, stepper.geometry
-    if not film.features.moving:
-        transfer.gather()
-        geometry.set_area(transfer.claim)
-        return
-    stepper.l_advance.project()
-    stepper.lists.rebuild()
-    none, at_once = film.zeros(film.n_e), wp.full(1, 1.0, dtype=float, device=film.device)
-    for _ in range(AREA_STEPS):
-        transfer.gather()
-        settings = [none, transfer.claim, geometry.area, at_once, 0.0, math.inf]
-        film.launch_e(kt.thickness_growth_e, settings, [transfer.growth])
-        transfer.gather_to_l()
-
-
-def _share_sums(stepper: Stepper) -> None:
-    """Give the particles of a single layer such areas that an even film is summed to an even one."""
-    film, e, geometry, fields = stepper.film, stepper.state.e, stepper.geometry, stepper.fields
-    cells = geometry.cell.numpy().astype(np.float64)
-    area = cells.copy()
-    for _ in range(SUM_STEPS):
-        e.mass.assign(film.material.areal_mass * area)
-        fields.update()
-        area *= film.material.thickness / fields.eta.numpy()
-    geometry.area.assign(area * cells.sum() / area.sum())
-
-
-def normal_part(u: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """The velocity [n, 3] that E of a film without L start with: nothing carries what lies in the film."""
-    return np.sum(u * normal, axis=1, keepdims=True) * normal
-
-
 def _set_velocity(scene: Scene, stepper: Stepper) -> None:
     film, state = stepper.film, stepper.state
     u = np.zeros((film.total, 3))
@@ -514,15 +476,7 @@ def _set_velocity(scene: Scene, stepper: Stepper) -> None:
     state.e.u.assign(u)
     if stepper.membrane is not None:
         stepper.membrane.start_motion()
-        if not (film.features.lagrangian or film.features.single):
-            state.e.u.assign(normal_part(u, state.e.normal.numpy()))
-    if state.l is not None:
-        stepper.transfer.start_l()
-    if film.features.circulation and scene.velocity is not None:
-        lag = state.l
-        points, normals = lag.x.numpy() + state.origin, lag.normal.numpy().astype(np.float64)
-        area = lag.mass.numpy() / (film.material.density * lag.eta.numpy())
-        lag.circulation.assign(area * curl_of(scene.velocity, points, normals, film.spacing))
+    stepper.carrier.start_flow(scene, u)
 
 
 def _fill_gas(film: Film, stepper: Stepper) -> None:

@@ -14,7 +14,7 @@ from melp_warp.features import Features
 from melp_warp.scene import MOST_STEPS_AGAIN, Scene
 from melp_warp.stages.film import count_parts
 from melp_warp.stages.state import GAS_SLOTS, Course, Declared
-from melp_warp.stepping.budget import STORE, TERMS, Ledger
+from melp_warp.stepping.ledger import STORE, TERMS, Ledger
 
 FARTHEST = 1e6
 """Largest coordinate (m) and speed (m/s)."""

@@ -10,7 +10,7 @@ from melp_warp.errors import SimulationError
 from melp_warp.parameters import Value
 from melp_warp.registry import load_scene
 from melp_warp.simulation import Simulation
-from melp_warp.stepping.budget import LOSS, TERMS
+from melp_warp.stepping.ledger import LOSS, TERMS
 
 
 @dataclass(frozen=True)

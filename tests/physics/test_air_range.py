@@ -17,7 +17,7 @@ def ringing(**overrides) -> Simulation:
 
 def energy(simulation: Simulation, monkeypatch) -> float:
     """Surface energy and kinetic energy of the normal motion, film and air, J."""
-    probe = simulation.stepper.membrane.air_range
+    probe = simulation.stepper.air_range
     before = probe.found.numpy()
     with monkeypatch.context() as patch:
         patch.setattr(air_range, "SLOPE", -1.0)  # measured whatever the slope

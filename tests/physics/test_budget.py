@@ -150,7 +150,7 @@ def test_a_large_rest_is_told_in_the_last_line(tmp_path, capsys, monkeypatch):
     loud = [word.replace("e_count=300", "e_count=1000") for word in RUN if word != "--quiet"]
     assert main([*loud, "--strict", "--out", str(tmp_path / "a")]) == 0
     assert "energy budget" not in capsys.readouterr().out
-    monkeypatch.setattr("melp_warp.stepping.budget.UNEXPLAINED", 1e-9)
+    monkeypatch.setattr("melp_warp.stepping.ledger.UNEXPLAINED", 1e-9)
     assert main([*loud, "--out", str(tmp_path / "b")]) == 0
     assert "energy budget" in capsys.readouterr().out.splitlines()[-1]
     assert main([*RUN, "--strict", "--out", str(tmp_path / "c")]) == 1

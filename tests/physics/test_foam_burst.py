@@ -12,6 +12,7 @@ from melp_warp.measure.results import measure
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
 from melp_warp.stages.state import AMOUNT, VOLUME
+from melp_warp.stepping.parts import kernel_files
 
 R = 0.02
 PAIR = (Bubble((-1.0005 * R, 0.0, 0.0), R), Bubble((1.0005 * R, 0.0, 0.0), R))
@@ -231,7 +232,7 @@ def test_what_does_not_burst_has_nothing_of_it():
     """A foam without punctures has no buffers and no kernels of rims."""
     simulation = Simulation(foam(PAIR, 450, 2))
     assert simulation.burst is None and simulation.state.f is None and simulation.state.l.behind is None
-    assert "free_rim" not in simulation.film.features.kernels()
+    assert "free_rim" not in kernel_files(simulation.film.features)
 
 
 @pytest.mark.slow

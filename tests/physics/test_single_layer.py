@@ -34,7 +34,7 @@ def test_even_film_stays_at_rest():
     """On an even grid up to the frame, 200 steps leave it at rest to rounding."""
     simulation = Simulation(Scene("rest", Rectangle(0.1, 0.1), 400, numerics=Numerics(layers=1)))
     v.steps(simulation, 200, 0.5 * simulation.largest_step())
-    assert np.abs(v.e_velocities(simulation)).max() < 1e-5 * simulation.stepper.wave_speed
+    assert np.abs(v.e_velocities(simulation)).max() < 1e-5 * simulation.stepper.carrier.wave_speed
     assert v.unevenness(simulation) < 1e-5
 
 
@@ -94,7 +94,7 @@ def test_step_follows_waves_and_particles():
     simulation.step(step)
     fastest = np.linalg.norm(v.e_velocities(simulation), axis=1).max()
     assert simulation.largest_step() == pytest.approx(
-        0.5 * spacing / (simulation.stepper.wave_speed + fastest), rel=0.01
+        0.5 * spacing / (simulation.stepper.carrier.wave_speed + fastest), rel=0.01
     )
     assert Simulation(scene("equilibrium", e_count=600, dt=1e-5)).largest_step() == 1e-5
 
