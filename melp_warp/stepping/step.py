@@ -106,6 +106,7 @@ class PassToE(FindFlow):
 
     equation = "(6), (7)"
     velocity = "along the film from the L, across it kept: at the start of the step"
+    needs = ("transfer",)
     writes = ("e.u", "e.mass", "e.surfactant")
     of_l = True
 

@@ -1,14 +1,18 @@
 """Stages and particles that scenes bring along: what they may be, when they run, and what becomes of them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import warp as wp
 
 from melp_warp import InputError, ParticleSet, Scene, Simulation, SimulationError, Sphere, Stage, load_scene
+from melp_warp.features import Features
 from melp_warp.numerics import Numerics
+from melp_warp.stages.state import declared
 from melp_warp.stepping.checkpoint import check_sum
+from melp_warp.stepping.parts import CARRIERS, kernel_files, parts_of
 from melp_warp.stepping.step import TABLE
 from tests.physics.test_carried import at_once
 
@@ -133,3 +137,69 @@ def test_wrong_ones_are_refused(wrong, told):
 def test_wrong_particles_are_refused(given, told):
     with pytest.raises(InputError, match=told):
         ParticleSet(*given)
+
+
+def test_the_page_shows_the_table():
+    """docs/stages.md has a row a stage: name, equations, needs, writes, velocity."""
+    text = (Path(__file__).parents[2] / "docs" / "stages.md").read_text()
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("| ")]
+    own = [[s.name, s.equation, ", ".join(s.needs), ", ".join(s.writes), s.velocity] for s in TABLE]
+    assert rows[1:] == own
+
+
+@pytest.mark.parametrize("carrier", CARRIERS.values(), ids=lambda carrier: carrier.__name__)
+def test_own_stages_have_the_form(carrier):
+    """Each once, said what it does; its needs are parts that there are, what it writes is of the state."""
+    names = [stage.name for stage in carrier.stages]
+    assert len(set(names)) == len(names)
+    parts, state = parts_of(Features.of(BUBBLE)), declared()
+    for stage in carrier.stages:
+        assert stage.__doc__ and set(stage.needs) <= set(parts) and set(stage.writes) <= set(state), stage
+        assert stage.velocity or not any(name.startswith("e.") for name in stage.writes), stage
+
+
+def test_a_stage_whose_needs_are_not_there_is_refused(device):
+    needy = type("Needy", (Counter,), {"after": "membrane", "needs": ("tangential",), "remembers": {}})
+    Simulation(replace(BUBBLE, stages=[needy]))
+    with pytest.raises(InputError, match=r"needs of stage counter must be parts that there are here, got .'tangential"):
+        InputError, match=r"needs of stage counter must be parts that there are here, got \['tangential"
+    ):
+        Simulation(replace(BUBBLE, l_per_e=0, stages=[needy]))
+
+
+@wp.kernel(enable_backward=False)
+def spoil_e(u: wp.array(dtype=wp.vec3)):
+    """Make a velocity infinite."""
+    u[7] = wp.vec3(wp.inf)
+
+
+class Spoiler(Stage):
+    """Leaves a number that is not finite."""
+
+    name, after, writes = "spoiler", "surfactant", ("e.u",)
+
+    def run(self):
+        self.film.launch_one(spoil_e, [], [self.state.e.u])
+
+
+def test_what_a_stage_writes_is_looked_at(device):
+    with pytest.raises(SimulationError, match="stage spoiler: E particle 7 is not finite"):
+        Simulation(replace(BUBBLE, stages=[Spoiler])).advance_frame()
+
+
+@pytest.mark.parametrize("name", ["oscillating_bubble", "giant_bubble", "leapfrog", "drainage", "double_bubble"])
+def test_kernels_are_known_beforehand(device, name, monkeypatch):
+    """What a run launches is in the files that its parts and stages declare, which are compiled side by side."""
+    scene = load_scene(name).scene(e_count=500, frames=1)
+    launched, plain = set(), wp.launch
+
+    def launch(kernel, *args, **kwargs):
+        launched.add(kernel.module.name)
+        return plain(kernel, *args, **kwargs)
+
+    monkeypatch.setattr(wp, "launch", launch)
+    simulation = Simulation(scene)
+    simulation.step(1e-4)
+    prefix = "melp_warp.kernels."
+    files = {module.removeprefix(prefix) for module in launched if module.startswith(prefix)}
+    assert files and files <= set(kernel_files(simulation.film.features))
