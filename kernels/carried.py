@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from melp_warp.kernels.free_rim import Chain, nearest_on_rim
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -23,3 +25,40 @@ def collect_amount_l(
     if mass[i] == 0.0:
         collected[i] = collected[i] + held[i]
         held[i] = 0.0
+
+
+@wp.kernel
+def sweep_amount(
+    x: wp.array(dtype=wp.vec3),
+    held: wp.array(dtype=float),
+    home: wp.array(dtype=wp.int32),
+    region: wp.array(dtype=wp.int32),
+    edge: wp.array(dtype=wp.vec4),
+    rim: Chain,
+    reach: float,
+    behind: wp.array(dtype=wp.int32),
+    # outputs
+    amount: wp.array(dtype=wp.float64),
+):
+    """Give what particles hold that a rim has just passed to it, as `free_rim.sweep`, which is to follow. [n_l].
+
+    Args:
+        x: [n] m.
+        held: [n] how much each holds.
+        home: [n] E near each.
+        region: [n] index of each one's region.
+        edge: [n_e] see `free_rim.find_edge_e`.
+        rim: the rims.
+        reach: distance of its home within which a particle may meet a rim, m.
+        behind: [n] 1 where its liquid is a rim's already.
+        amount: [n_f] how much the points of the rims hold.
+    """
+    i = wp.tid()
+    if behind[i] == 1 or edge[home[i]][3] > reach:
+        return
+    found = nearest_on_rim(rim, x[i], region[i])
+    if found[2] >= 0.0 or found[3] > reach:
+        return
+    k = int(found[0])
+    wp.atomic_add(amount, k, (wp.float64(1.0) - wp.float64(found[1])) * wp.float64(held[i]))
+    wp.atomic_add(amount, rim.after[k], wp.float64(found[1]) * wp.float64(held[i]))

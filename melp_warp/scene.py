@@ -154,13 +154,9 @@ class Scene:
         right = all(isinstance(one, Carried) for one in self.carried) and len(set(names)) == len(names)
         require(right, "carried", names, "Carried quantities, each name once")
         require(not names or self.l_per_e > 0, "carried", names, "none for a film without L: l_per_e at least 1")
-        require(
-            not (names and self.bursts), "carried", names, "none for a film that may burst, Pop(..., delete=True) aside"
-        )
         if self.show != "nothing":
             there = self.l_per_e > 0 and self.numerics.carrier == "circulation" and "circulation" not in names
             require(there, "show", self.show, "nothing where L do not carry it: carrier=circulation")
-            require(not self.bursts, "show", self.show, "nothing for a film that may burst")
 
     def _check_gas(self) -> None:
         """Refuse gas that no film holds, or that does not say when how much there is."""

@@ -592,9 +592,17 @@ class Simulation:
 
     def _totals(self) -> dict:
         """All there is of what the scene declares; nothing where it declares none."""
-        carried, carriage = self.scene.carried, None if self.gone else self.stepper.carriage
-        totals = {one.name: carriage.total(one.name) if carriage is not None else 0.0 for one in carried}
-        return {"carried": totals} if carried else {}
+        names, state = [one.name for one in self.scene.carried], self.state
+        if not names:
+            return {}
+        if self.gone:
+            totals = {
+                name: float(state.d.more[name].numpy().sum(dtype=np.float64)) if state.d else 0.0 for name in names
+            }
+        else:
+            totals = {name: self.stepper.carriage.total(name) for name in names}
+        left = {"carried_left": dict(state.course.left)} if any(state.course.left.values()) else {}
+        return {"carried": totals, **left}
 
     @staticmethod
     def _thickness_diagnostics(sums: np.ndarray) -> dict:

@@ -75,6 +75,10 @@ class Carriage:
             self.film.launch_l(kq.collect_amount_l, [self.state.l.mass], [held[name], held[f"{name}_rim"]])
 
     def total(self, name: str) -> float:
-        """All there is of a quantity, that which the rim has collected included (reads back)."""
-        found = (self.state.carried.get(one) for one in (name, f"{name}_rim"))
-        return float(sum(held.numpy().sum(dtype=np.float64) for held in found if held is not None))
+        """All there is of a quantity, with what the rim has collected and free rims and drops hold (reads back)."""
+        state = self.state
+        held = state.carried[name].numpy()
+        if state.l.behind is not None:
+            held = held[state.l.behind.numpy() == 0]  # a free rim has it
+        others = [state.carried.get(f"{name}_rim"), *(block.more[name] for block in (state.f, state.d) if block)]
+        return float(sum(a.sum(dtype=np.float64) for a in (held, *(one.numpy() for one in others if one is not None))))

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.device.launch import clear, copy, launch
+from melp_warp.kernels import carried as kq
 from melp_warp.kernels import free_rim as kr
 from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
@@ -127,6 +128,9 @@ class FreeRim:
         else:
             held = [lag.x, lag.mass, lag.surfactant, self.lists.le.home, lag.region]
             count, swept = film.n_l, lag.behind
+        for name, amount in rim.more.items():
+            given = [lag.x, state.carried[name], *held[3:], self.edge, self.chain, REACH * film.spacing, swept]
+            launch(kq.sweep_amount, count, given, [amount], film.device)
         launch(
             kr.sweep,
             count,

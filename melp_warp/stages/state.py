@@ -129,6 +129,7 @@ class FreeRimState:
         limit: [n_f] growth at which it breaks next, over the scene's.
         region: [n_f] index of the region whose film it runs over.
         other: [n_f] where that film is a partition, the region on its other side; -1 for a film that is free.
+        more: name -> [n_f] how much they hold of what the scene declares.
     """
 
     x: wp.array = _array(wp.vec3, "f")
@@ -145,6 +146,7 @@ class FreeRimState:
     limit: wp.array = _array(wp.float32, "f")
     region: wp.array = _array(wp.int32, "f")
     other: wp.array = _array(wp.int32, "f")
+    more: dict[str, wp.array] = field(default_factory=dict)
 
 
 @dataclass
@@ -156,12 +158,14 @@ class DropState:
         u: [n_d] m/s.
         mass: [n_d] kg.
         surfactant: [n_d] mol, on one interface of the film that it was.
+        more: name -> [n_d] how much they hold of what the scene declares.
     """
 
     x: wp.array = _array(wp.vec3, "d")
     u: wp.array = _array(wp.vec3, "d")
     mass: wp.array = _array(wp.float32, "d")
     surfactant: wp.array = _array(wp.float32, "d")
+    more: dict[str, wp.array] = field(default_factory=dict)
 
 
 def _guesses(features: Features) -> bool:
@@ -255,6 +259,7 @@ class Course:
         run: way of the fastest rim since film behind rims was last taken away, m.
         tears: [scene's number of the region, that on the other side of a partition or -1] of each film that is torn.
         rest: liquid that a frame has collected where a rim came to it, and that left with drops out of sight, kg.
+        left: name -> what went with that, or with films that popped, of what the scene declares.
         shown: [3] where exported positions are measured from, the same for the whole run, m.
         ledger: the energy budget so far; None where the scene wants none.
     """
@@ -281,12 +286,14 @@ class Course:
     run: float = 0.0
     tears: list[list[int]] = field(default_factory=list)
     rest: float = 0.0
+    left: dict[str, float] = field(default_factory=dict)
     shown: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     ledger: Ledger | None = None
 
 
 def _arrays(block) -> dict[str, wp.array]:
     named = {f.name: getattr(block, f.name) for f in fields(block) if "dtype" in f.metadata}
+    named |= getattr(block, "more", {})
     return {name: array for name, array in named.items() if array is not None}
 
 
@@ -300,6 +307,14 @@ def allocate(kind, sizes: dict[str, int], device, features: Features | None = No
             shape = (sizes.get(size, size), *((columns,) if columns else ()))
             made[f.name] = wp.zeros(shape, dtype=f.metadata["dtype"], device=device)
     return kind(**made, **counts)
+
+
+def allocate_beads(rims: int, drops: int, device, features: Features) -> tuple[FreeRimState, DropState]:
+    """Make points of free rims and drops, zeroed, with room for what the scene declares."""
+    made = allocate(FreeRimState, {"f": rims}, device), allocate(DropState, {"d": drops}, device)
+    for block, dtype, count in zip(made, (wp.float64, wp.float32), (rims, drops), strict=True):
+        block.more = {one.name: wp.zeros(count, dtype=dtype, device=device) for one in features.carried}
+    return made
 
 
 Declared = tuple[str, "str | int | None", tuple[int, ...], "Callable[[Features], bool] | None"]
@@ -350,6 +365,9 @@ def declared(scene: Scene | Features | None = None) -> dict[str, Declared]:
     }
     for name, rim in carried_arrays(scene.carried) if scene is not None else ():
         found[f"l.{name}"] = "f", "l", (), (lambda f: f.collects) if rim else None
+    for one in scene.carried if scene is not None else ():
+        for kind in "fd":
+            found[f"{kind}.{one.name}"] = "f", kind, (), lambda f: f.bursts
     for one in scene.sets if scene is not None else ():
         for name, array in {"x": one.x, **one.arrays}.items():
             found[f"{one.name}.{name}"] = "f", one.count, array.shape[1:], None
@@ -421,7 +439,7 @@ class State:
         self.sets = {one.name: _start(one, device, origin) for one in features.sets}
         self.f, self.d = f, d
         if features.bursts and f is None:
-            self.f, self.d = allocate(FreeRimState, {"f": 0}, device), allocate(DropState, {"d": 0}, device)
+            self.f, self.d = allocate_beads(0, 0, device, features)
         self.gas = wp.zeros((regions, len(GAS_SLOTS)), dtype=wp.float64, device=device)
         self.motion = wp.zeros(regions, dtype=wp.vec3, device=device)
         self.border = wp.zeros(len(BORDER_SLOTS), dtype=wp.float64, device=device) if features.collects else None
@@ -431,7 +449,7 @@ class State:
             for stage in features.stages
             for key, (dtype, size) in stage.remembers.items()
         }
-        self.course = Course(crossed=time, mixed=time)
+        self.course = Course(crossed=time, mixed=time, left={one.name: 0.0 for one in features.carried})
         self.seen = Reading(self.memory.travel)
         self.ids = {"e": np.arange(e.count), "l": np.arange(l.count if l else 0)}
         if features.bursts:
@@ -500,7 +518,7 @@ class State:
                 name: getattr(was, name)
                 for name in (
                     *("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger"),
-                    *("punctured", "holed", "gas", "run", "rest", "tears"),
+                    *("punctured", "holed", "gas", "run", "rest", "left", "tears"),
                 )
             },
             crossed=self.time,

@@ -19,7 +19,7 @@ from melp_warp.measure.fits import connected, nearest_distance, squares
 from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT, FreeRim
 from melp_warp.stages.state import AMOUNT, GAUGE
 from melp_warp.stepping.breath import flow_through
-from melp_warp.stepping.rims import FEWEST, POINT, ROUND, SUMS, Rims, Thread, breaking_points
+from melp_warp.stepping.rims import FEWEST, LINKS, ROUND, Rims, Thread, breaking_points, names_of
 from melp_warp.stepping.topology import Stored
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ class Burst:
     @property
     def _rims(self) -> Rims:
         """The rims as they are now (reads back)."""
-        rim = self._sim.state.f
-        return Rims.of({f"f.{name}": getattr(rim, name).numpy() for name in (*POINT, "after", "before")})
+        arrays = self._sim.state.arrays()
+        return Rims.of({name: array.numpy() for name, array in arrays.items() if name.startswith("f.")})
 
     @property
     def pending(self) -> list[Puncture]:
@@ -120,7 +120,7 @@ class Burst:
 
     def _leave(self, stored: Stored, drops: np.ndarray) -> None:
         """Let the drops of a mask leave by the walls that they have come to."""
-        self._sim.state.course.rest += float(stored.arrays["d.mass"][drops].sum(dtype=np.float64))
+        self._sim.state.course.rest += stored.leave("d", drops)
         for name in [name for name in stored.arrays if name.startswith("d.")]:
             stored.arrays[name] = stored.arrays[name][~drops]
         stored.ids["d"] = stored.ids["d"][~drops]
@@ -328,7 +328,7 @@ class Burst:
         arrays, k = stored.arrays, len(ring)
         old = len(arrays["f.x"])
         rng = np.random.default_rng([self.scene.seed, old, self._sim.state.course.punctured, k])
-        new = {name: np.zeros((k, *arrays[f"f.{name}"].shape[1:])) for name in POINT}
+        new = {name: np.zeros((k, *arrays[f"f.{name}"].shape[1:])) for name in names_of(arrays)}
         new |= {"region": np.full(k, sides[0]), "other": np.full(k, sides[1])}
         new |= {"x": ring, "normal": normals, "flow": flow, "film": seen, "limit": breaking_points(k, rng)}
         out = np.cross(np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0), normals)
@@ -383,7 +383,7 @@ class Burst:
             return
         for thread in rims.threads(rims.runs(broken)):
             self._spray(stored, [thread])
-        for name in (*SUMS, "growth"):
+        for name in (*rims.sums, "growth"):
             point[name][broken] = 0.0
         point["limit"][broken] = breaking_points(int(broken.sum()), rng)
 
@@ -402,7 +402,7 @@ class Burst:
             between = there[away < 0.5 * MEET * self._sim.film.spacing]
             if name == flag and len(between):
                 nearest = met[np.argmin(squares(arrays[f"{kind}.x"][between], place), axis=1)]
-                for what in ("mass", "surfactant"):
+                for what in ("mass", *rims.held):
                     np.add.at(rims.point[what], nearest, arrays[f"{kind}.{what}"][between].astype(np.float64))
             arrays[name][between] = 1
 
@@ -438,11 +438,10 @@ class Burst:
 
     def _liquid_of(self, stored: Stored, kind: str, chosen: np.ndarray) -> Thread:
         """The liquid of the particles of a mask, as a thread."""
-        x, u, mass, amount = (
-            stored.arrays[f"{kind}.{name}"][: len(chosen)][chosen].astype(np.float64)
-            for name in ("x", "u", "mass", "surfactant")
-        )
-        return Thread(x, u, mass, amount, np.full(len(x), self._sim.film.spacing))
+        names = ("x", "u", "mass", "surfactant", *stored.left)
+        held = {name: stored.arrays[f"{kind}.{name}"][: len(chosen)][chosen].astype(np.float64) for name in names}
+        x, u, mass = (held.pop(name) for name in ("x", "u", "mass"))
+        return Thread(x, u, mass, np.full(len(x), self._sim.film.spacing), held)
 
     def _live(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
         """[n_e] the film that a rim will pass."""
@@ -466,7 +465,9 @@ class Burst:
     def _collect(self, stored: Stored, rims: Rims, there: np.ndarray) -> None:
         """Leave to the frame what has come to it, the points `there` (mask)."""
         self._sim.state.course.rest += float(rims.point["mass"][there].sum())
-        for name in SUMS:
+        for name in stored.left:
+            stored.left[name] += float(rims.point[name][there].sum())
+        for name in rims.sums:
             rims.point[name][there] = 0.0
 
     def _spray(self, stored: Stored, threads: list[Thread]) -> None:
@@ -477,7 +478,7 @@ class Burst:
         if not made:
             return
         first = int(stored.ids["d"].max(initial=-1)) + 1
-        for name in ("x", "u", "mass", "surfactant"):
+        for name in made[0]:
             new = np.concatenate([drops[name] for drops in made])
             was = arrays[f"d.{name}"]
             arrays[f"d.{name}"] = np.concatenate([was, new.astype(was.dtype)])
@@ -498,8 +499,17 @@ class Burst:
             home = self._sim.stepper.lists.le.home.numpy()
             lost = ~kept[home] & (arrays["l.behind"] == 0)
             self._take_lost(stored, lost)
+            self._keep_collected(stored, ~kept[home])
             stored.select("l", kept[home])
         keep_e(stored, kept)
+
+    @staticmethod
+    def _keep_collected(stored: Stored, gone: np.ndarray) -> None:
+        """Count among what left what the frame has collected, L by L, from L that go."""
+        for name in stored.left:
+            collected = stored.arrays.get(f"l.{name}_rim")
+            if collected is not None:
+                stored.left[name] += float(collected[gone].sum(dtype=np.float64))
 
     def _take_lost(self, stored: Stored, lost: np.ndarray) -> None:
         """Leave the liquid of L [n_l] without film to the frame, or without one to the rims nearest to them."""
@@ -507,10 +517,11 @@ class Burst:
         mass = arrays["l.mass"][lost].astype(np.float64)
         if self._sim.film.rim is not None:
             self._sim.state.course.rest += float(mass.sum())
+            stored.leave("l", lost)
         elif lost.any():
             nearest = np.argmin(squares(arrays["l.x"][lost], arrays["f.x"]), axis=1)
-            np.add.at(arrays["f.mass"], nearest, mass)
-            np.add.at(arrays["f.surfactant"], nearest, arrays["l.surfactant"][lost].astype(np.float64))
+            for name in ("mass", "surfactant", *stored.left):
+                np.add.at(arrays[f"f.{name}"], nearest, arrays[f"l.{name}"][lost].astype(np.float64))
 
     def _finish(self, stored: Stored, rims: Rims) -> None:
         """The last of the film and of its rims: into the frame where there is one, else into drops."""
@@ -520,12 +531,16 @@ class Burst:
         threads = rims.threads(chain.index for chain in rims.chains)
         if self._sim.film.rim is not None:
             self._sim.state.course.rest += float(mass.sum()) + float(sum(one.mass.sum() for one in threads))
+            stored.leave(kind, left)
+            for name in stored.left:
+                stored.left[name] += float(sum(one.held[name].sum() for one in threads))
         else:
             threads.append(self._take(stored, np.ones(len(arrays["e.mass"]), dtype=bool)))
             self._spray(stored, threads)
-        for name in (*POINT, "after", "before"):
+        for name in (*names_of(arrays), *LINKS):
             arrays[f"f.{name}"] = arrays[f"f.{name}"][:0]
         if kind == "l":
+            self._keep_collected(stored, np.ones(len(left), dtype=bool))
             stored.select("l", np.zeros(len(left), dtype=bool))
         keep_e(stored, np.zeros(len(arrays["e.mass"]), dtype=bool))
         for name in [name for name in arrays if name.startswith("e.")]:

@@ -17,10 +17,10 @@ from melp_warp.bursting import Puncture
 from melp_warp.cluster import Merge, Pop
 from melp_warp.measure.fits import nearest_distance, squares
 from melp_warp.stages.free_rim import SIGHT, FreeRim
-from melp_warp.stages.state import AMOUNT, GAUGE, VOLUME, DropState, FreeRimState, allocate
+from melp_warp.stages.state import AMOUNT, GAUGE, VOLUME, allocate_beads
 from melp_warp.stepping.burst import Burst
 from melp_warp.stepping.events import find_partition
-from melp_warp.stepping.rims import SUMS, Rims
+from melp_warp.stepping.rims import Rims
 from melp_warp.stepping.topology import Stored, give, merge_regions, pop_region
 
 if TYPE_CHECKING:
@@ -182,17 +182,17 @@ class FoamBurst(Burst):
         if not same or self._gave:
             self._gave = False
             return False
-        arrays = stored.arrays
-        for kind, block in ((FreeRimState, "f"), (DropState, "d")):
-            made = allocate(kind, {block: len(arrays[f"{block}.x"])}, self._sim.device)
-            setattr(state, block, made)
-            for name in (name for name in arrays if name.startswith(f"{block}.")):
-                getattr(made, name[2:]).assign(arrays[name])
+        arrays, features = stored.arrays, self._sim.film.features
+        state.f, state.d = allocate_beads(len(arrays["f.x"]), len(arrays["d.x"]), self._sim.device, features)
+        for name, array in state.arrays().items():
+            if name.startswith(("f.", "d.")):
+                array.assign(arrays[name])
         for kind, name in itertools.product("el", ("behind", "swept")):
             array = getattr(getattr(state, kind), name, None)
             if array is not None:
                 array.assign(arrays[f"{kind}.{name}"])
         state.ids["d"] = stored.ids["d"]
+        state.course.left = stored.left
         return True
 
     def _let_out(self, arrays: dict[str, np.ndarray], k: int) -> None:
@@ -246,7 +246,7 @@ class FoamBurst(Burst):
         inside = rims.point["other"] >= 0
         self._spray(stored, rims.threads(rims.runs(there & ~inside)))
         self._keep_inside(stored, rims, np.flatnonzero(there & inside))
-        for name in SUMS:
+        for name in rims.sums:
             rims.point[name][there] = 0.0
 
     def _keep_inside(self, stored: Stored, rims: Rims, points: np.ndarray) -> None:
@@ -259,7 +259,7 @@ class FoamBurst(Burst):
         region = arrays[f"{kind}.region"][: len(there)]
         for k, j in {(int(point["region"][i]), int(point["other"][i])) for i in points}:
             own = points[(point["region"][points] == k) & (point["other"][points] == j)]
-            held = {name: point[name][own] for name in ("x", "mass", "surfactant")}
+            held = {name: point[name][own] for name in ("x", "mass", *rims.held)}
             give(arrays, kind, held, np.flatnonzero(np.isin(region, (k, j)) & there))
             momentum = (point["mass"][own, None] * point["u"][own]).sum(axis=0)
             self._push(arrays, (k, j), momentum)
@@ -297,7 +297,8 @@ class FoamBurst(Burst):
             own = (region == k) & there
             scraps = own & ~np.isin(partner, np.unique(region[there]))
             self._spray(stored, [self._liquid_of(stored, kind, scraps)])
-            arrays[f"{kind}.mass"][scraps] = 0.0
+            for name in ("mass", *stored.left):
+                arrays[f"{kind}.{name}"][scraps] = 0.0
             if kind == "e":
                 self._hand_across(stored, np.flatnonzero(own & ~scraps), partner)
                 pop_region(stored, k, None)

@@ -34,12 +34,20 @@ POINT = ("x", "u", "inertia", "mass", "surfactant", "normal", "flow", "film", "g
 """What the points of a rim hold besides their places in a chain."""
 
 SUMS = ("inertia", "mass", "surfactant")
-"""What of that adds up."""
+"""What of that adds up, as does what a scene declares."""
+
+LINKS = ("after", "before")
+"""Their places in a chain."""
 
 
 def breaking_points(count: int, rng: np.random.Generator) -> np.ndarray:
     """Growth at which points break, over the scene's. [count]."""
     return 1.0 + UNEVEN * rng.uniform(-1.0, 1.0, count)
+
+
+def names_of(arrays: Iterable[str]) -> list[str]:
+    """What points hold besides their links, of the names of a state's arrays."""
+    return [name[2:] for name in arrays if name.startswith("f.") and name[2:] not in LINKS]
 
 
 @dataclass
@@ -50,15 +58,15 @@ class Thread:
         x: [n, 3] m.
         u: [n, 3] m/s.
         mass: [n] kg.
-        surfactant: [n] mol.
         length: [n] share of the thread's length, m.
+        held: name -> [n] surfactant (mol) and what the scene declares.
     """
 
     x: np.ndarray
     u: np.ndarray
     mass: np.ndarray
-    surfactant: np.ndarray
     length: np.ndarray
+    held: dict[str, np.ndarray]
 
     def drops(self, density: float, tension: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """What the thread breaks into: drops as far apart as its fastest wave is long, which keep all sums.
@@ -84,7 +92,7 @@ class Thread:
             "x": x,
             "u": (share @ (self.mass[:, None] * self.u)) / drop[:, None] + scatter,
             "mass": drop,
-            "surfactant": share @ self.surfactant,
+            **{name: share @ held for name, held in self.held.items()},
         }
 
 
@@ -100,17 +108,21 @@ class Rims:
     """All rims, on the host.
 
     Attributes:
-        point: what their points hold, by name.
+        point: what their points hold, by name: `POINT` and what the scene declares.
         chains: their order.
+        held: names of what their liquid holds that adds up, surfactant and what the scene declares.
+        sums: the same with mass and inertia.
     """
 
     def __init__(self, point: dict[str, np.ndarray], chains: list[Chain]):
         self.point, self.chains = point, chains
+        more = [name for name in point if name not in POINT]
+        self.held, self.sums = ("surfactant", *more), (*SUMS, *more)
 
     @classmethod
     def of(cls, arrays: dict[str, np.ndarray]) -> Rims:
         """The rims of a stored state, in float64."""
-        point = {name: arrays[f"f.{name}"].astype(np.float64) for name in POINT}
+        point = {name: arrays[f"f.{name}"].astype(np.float64) for name in names_of(arrays)}
         after, before = arrays["f.after"], arrays["f.before"]
         left, chains = np.ones(len(after), dtype=bool), []
         for start in [*np.flatnonzero(before < 0).tolist(), *range(len(after))]:
@@ -126,7 +138,7 @@ class Rims:
     def store(self, arrays: dict[str, np.ndarray]) -> None:
         """Put the rims into a stored state, chain by chain."""
         order = np.concatenate([chain.index for chain in self.chains] or [np.zeros(0, int)]).astype(int)
-        for name in POINT:
+        for name in self.point:
             arrays[f"f.{name}"] = self.point[name][order].astype(arrays[f"f.{name}"].dtype)
         after, before, first = np.full(len(order), -1), np.full(len(order), -1), 0
         for chain in self.chains:
@@ -156,7 +168,8 @@ class Rims:
         return [self._thread(index, half) for index in indices]
 
     def _thread(self, index: np.ndarray, half: np.ndarray) -> Thread:
-        return Thread(*(self.point[name][index] for name in ("x", "u", "mass", "surfactant")), half[index])
+        held = {name: self.point[name][index] for name in self.held}
+        return Thread(*(self.point[name][index] for name in ("x", "u", "mass")), half[index], held)
 
     def beads(self, chain: Chain, density: float, spacing: float) -> tuple[np.ndarray, ...]:
         """Places, velocities, widths and normals along a chain, a radius apart, at least `BEADS` in a spacing."""
@@ -329,7 +342,7 @@ class Rims:
             weight = max(point["inertia"][b], 1e-30) / max(point["inertia"][a] + point["inertia"][b], 2e-30)
             turned = max(float(np.linalg.norm((1.0 - weight) * out[a] + weight * out[b])), STEADY)
             point["u"][a] = ((1.0 - weight) * point["u"][a] + weight * point["u"][b]) / turned
-            for name in SUMS:
+            for name in self.sums:
                 point[name][a] += point[name][b]
             point["growth"][a] = max(point["growth"][a], point["growth"][b])
             index.pop((k + 1) % len(index))
@@ -352,8 +365,8 @@ class Rims:
         for name in ("x", "u"):
             made[name] = self._cubic(chain, where, point[name])
         made["limit"] = breaking_points(len(where), rng)
-        shares = {name: 0.25 * values for name, values in ((n, point[n]) for n in SUMS)}
-        for name in SUMS:
+        shares = {name: 0.25 * values for name, values in ((n, point[n]) for n in self.sums)}
+        for name in self.sums:
             made[name] = shares[name][a] + shares[name][b]
             for end in (a, b):
                 np.subtract.at(point[name], end, shares[name][end])

@@ -22,12 +22,11 @@ from melp_warp.stages.state import (
     VOLUME,
     BoundaryState,
     Course,
-    DropState,
     EulerianState,
-    FreeRimState,
     LagrangianState,
     State,
     allocate,
+    allocate_beads,
 )
 from melp_warp.stepping.parts import CARRIERS, NORMAL_MOTIONS, kernel_files
 from melp_warp.stepping.stepper import Stepper, make_stepper
@@ -300,8 +299,7 @@ def state_of(scene: Scene, stored: dict[str, np.ndarray], regions: int, device, 
     e = allocate(EulerianState, {"e": n_e, "n": n}, device, features, count=n_e)
     lagrangian = allocate(LagrangianState, {"l": n_l}, device, features, count=n_l) if "l.x" in stored else None
     boundary = allocate(BoundaryState, {"b": n - n_e}, device) if "b.mirror" in stored else None
-    rims = allocate(FreeRimState, {"f": n_f}, device) if features.bursts else None
-    drops = allocate(DropState, {"d": n_d}, device) if features.bursts else None
+    rims, drops = allocate_beads(n_f, n_d, device, features) if features.bursts else (None, None)
     state = State(e, lagrangian, boundary, regions, features, time=float(stored["time"]), f=rims, d=drops)
     state.load(stored)
     return state
@@ -328,7 +326,7 @@ def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tupl
     state.ids = stored.ids
     stays = ("limit", "cap", "speed", "pending", "unborn", "shown", "ledger", "punctured", "holed", "run", "rest")
     kept = {name: getattr(before.course, name) for name in stays}
-    own = {"labels": stored.labels, "spilled": stored.spilled, "tears": stored.tears}
+    own = {"labels": stored.labels, "spilled": stored.spilled, "tears": stored.tears, "left": stored.left}
     state.course = Course(**kept, crossed=state.time, mixed=state.time, **own)
     film = film_of(scene, state, film.spacing, film.room)
     if not stored.labels:
@@ -356,7 +354,8 @@ def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tup
     state.ids = stored.ids
     stays = ("limit", "cap", "speed", "reach", "shown", "punctured", "gas", "rest", "run")
     kept = {name: getattr(before.course, name) for name in stays}
-    state.course = Course(**kept, crossed=state.time, mixed=state.time, labels=stored.labels, holed=True)
+    own = {"labels": stored.labels, "left": stored.left}
+    state.course = Course(**kept, crossed=state.time, mixed=state.time, holed=True, **own)
     gas = state.gas.numpy()
     gas[:, [INCREMENT, OFFSET]] = 0.0
     state.gas.assign(gas)

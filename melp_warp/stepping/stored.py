@@ -104,6 +104,7 @@ def check_course(stored: object, scene: Scene) -> Course:
     right = isinstance(stored, dict) and set(stored) == names
     require(right, "course", sorted(stored)[:20] if isinstance(stored, dict) else stored, "what a run remembers")
     others = ("builds", "labels", "unborn", "shown", "fresh", "pending", "ledger", "punctured", "holed", "tears")
+    others += ("left",)
     numbers = {k: v for k, v in stored.items() if k not in others}
     for name, value in numbers.items():
         none = name == "layer_speed" and value is None
@@ -129,6 +130,10 @@ def check_course(stored: object, scene: Scene) -> Course:
     for value in shown:
         _check_number("shown", abs(value) if isinstance(value, float) else value, most=FARTHEST)
     _check_labels(stored["labels"], stored["unborn"], cluster, stored["holed"])
+    left, names = stored["left"], {one.name for one in scene.carried}
+    require(isinstance(left, dict) and set(left) == names, "left", left, f"numbers of {', '.join(names) or 'nothing'}")
+    for name, value in left.items():
+        _check_number(f"left of {name}", abs(value) if isinstance(value, float) else value)
     _check_whole("pending", [stored["pending"]])
     events = len(cluster.events) if cluster else 0
     require(stored["pending"] <= events, "pending", stored["pending"], f"at most {events}, the events of this scene")

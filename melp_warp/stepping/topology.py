@@ -30,7 +30,7 @@ class Stored:
         labels: the scene's number of each region.
         spilled: liquid that left with films that popped, kg.
         amounts: what particles hold that adds up.
-        tears: films that are torn, see `Course`.
+        tears, left: films that are torn, and what left of what is declared, see `Course`.
     """
 
     arrays: dict[str, np.ndarray]
@@ -39,6 +39,7 @@ class Stored:
     spilled: float = 0.0
     amounts: tuple[str, ...] = AMOUNTS
     tears: list[list[int]] = field(default_factory=list)
+    left: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, state: State) -> Stored:
@@ -49,7 +50,7 @@ class Stored:
             arrays["memory.area"] = stored["memory.area"]  # found from the L at the start
         course, amounts = state.course, (*AMOUNTS, *state.carried)
         tears = [list(one) for one in course.tears]
-        return cls(arrays, dict(state.ids), list(course.labels), course.spilled, amounts, tears)
+        return cls(arrays, dict(state.ids), list(course.labels), course.spilled, amounts, tears, dict(course.left))
 
     @property
     def kinds(self) -> str:
@@ -70,6 +71,12 @@ class Stored:
         """[n] of which of them none has it."""
         taken = self.arrays.get(self.flag)
         return np.ones(len(self.arrays[f"{self.carriers}.mass"]), dtype=bool) if taken is None else taken == 0
+
+    def leave(self, kind: str, chosen: np.ndarray) -> float:
+        """Count what the particles `chosen` of a set hold among what left; their liquid, kg."""
+        for name in self.left:
+            self.left[name] += float(self.arrays[f"{kind}.{name}"][chosen].sum(dtype=np.float64))
+        return float(self.arrays[f"{kind}.mass"][chosen].sum(dtype=np.float64))
 
     def select(self, kind: str, chosen: np.ndarray) -> None:
         """Keep the particles `chosen` (mask or indices) of one set, in that order."""
@@ -108,12 +115,11 @@ def pop_region(stored: Stored, k: int, partner_l: np.ndarray | None) -> None:
             stored.arrays["l.circulation"][shared] *= -1.0  # about the normal of the other side
         for other in np.unique(partner_l[shared]):
             _hand_over(stored, "l", shared & (partner_l == other), (region == other) & there)
-        stored.spilled += float(stored.arrays["l.mass"][(region == k) & there & ~shared].sum(dtype=np.float64))
+        stored.spilled += stored.leave("l", (region == k) & there & ~shared)
         stored.select("l", region != k)
     else:
-        held = stored.arrays["e.mass"]
-        own = (stored.region("e")[: len(held)] == k) & stored.there()
-        stored.spilled += float(held[own].sum(dtype=np.float64))
+        own = (stored.region("e")[: len(stored.arrays["e.mass"])] == k) & stored.there()
+        stored.spilled += stored.leave("e", own)
     stored.select("e", stored.region("e") != k)
     stored.drop_region(k)
 
@@ -155,7 +161,7 @@ def _hand_over(stored: Stored, kind: str, gone: np.ndarray, kept: np.ndarray) ->
     """Give momentum and what adds up of the particles that go to those nearest that stay, `HEIRS` to each."""
     arrays, names = stored.arrays, ("x", "u", "eta", "circulation", *stored.amounts)
     if not kept.any():
-        stored.spilled += float(arrays[f"{kind}.mass"][gone].sum(dtype=np.float64))
+        stored.spilled += stored.leave(kind, gone)
     held = {name: arrays[f"{kind}.{name}"][gone] for name in names if f"{kind}.{name}" in arrays}
     give(arrays, kind, held, np.flatnonzero(kept))
 

@@ -214,7 +214,7 @@ def test_drops_are_those_of_the_fastest_wave():
     mass = np.full(n, density * math.pi * radius**2 * part)
     x = np.stack([(np.arange(n) + 0.5) * part, np.zeros(n), np.zeros(n)], axis=1)
     u = np.full((n, 3), 2.0)
-    drops = Thread(x, u, mass, 1e-3 * mass, np.full(n, part)).drops(density, 0.07, rng)
+    drops = Thread(x, u, mass, np.full(n, part), {"surfactant": 1e-3 * mass}).drops(density, 0.07, rng)
     count = length / (RAYLEIGH * radius)
     assert len(drops["mass"]) == pytest.approx(count, abs=0.5)
     size = np.cbrt(3.0 * drops["mass"] / (4.0 * math.pi * density))

@@ -162,3 +162,67 @@ def test_scenes_that_carry_nothing_are_refused(device):
             replace(bubble, **wrong)
     with pytest.raises(InputError, match="start of dye"):
         Simulation(replace(bubble, carried=[Carried("dye", "-", lambda x: x)]))
+
+
+def torn(name, **numbers):
+    """A scene whose films burst by rims, with what L carry besides."""
+    made = load_scene(name).scene(**numbers)
+    return replace(made, carried=(TWIN, WARMTH, DYE))
+
+
+TORN = {
+    "film": (lambda: torn("film_burst", e_count=300, l_per_e=4, breakup=0.5, slow_motion=60.0), 12),
+    "bubble": (lambda: torn("giant_bubble", e_count=300, l_per_e=4, puncture_time=0.0), 3),
+    "foam": (lambda: torn("four_bubbles", e_count=460, l_per_e=2, merge_time=10.0, pop_time=0.0, gap=0.2), 6),
+}
+
+
+def held_by_all(state, name):
+    """What film, rims and drops hold of "mass", "surfactant" or something declared; three numbers."""
+    there = state.l.behind.numpy() == 0
+    held = state.carried.get(name) if name in state.carried else getattr(state.l, name)
+    beads = [block.more[name] if name in block.more else getattr(block, name) for block in (state.f, state.d)]
+    return np.array([held.numpy()[there].sum(dtype=np.float64), *(b.numpy().sum(dtype=np.float64) for b in beads)])
+
+
+@pytest.mark.parametrize("name", TORN)
+def test_rims_sweep_it_up_and_drops_take_it(device, name):
+    """Film, rims and drops hold of it what they hold of surfactant or liquid; the sum stays to rounding."""
+    build, frames = TORN[name]
+    made = build()
+    simulation = Simulation(made)
+    before, moved = simulation.diagnostics()["carried"], 0
+    for _ in range(frames):
+        simulation.advance_frame()
+        told, state = simulation.diagnostics(), simulation.state
+        left = told.get("carried_left", dict.fromkeys(before, 0.0))
+        for one, total in before.items():
+            assert told["carried"][one] + left[one] == pytest.approx(total, rel=2e-6), one
+        mass, amount, twin, warmth = (held_by_all(state, n) for n in ("mass", "surfactant", "twin", "warmth"))
+        moved = max(moved, mass[1:].sum() / mass.sum())
+        assert warmth == pytest.approx(300.0 * mass, rel=1e-4, abs=1e-9 * warmth.sum())
+        scale = 1e-7 / made.material.surfactant
+        assert twin == pytest.approx(scale * amount, rel=1e-4, abs=1e-6 * twin.sum())
+    assert moved > 0.05
+
+
+def test_the_rest_of_what_bursts_keeps_its_bits(device):
+    made = TORN["film"][0]()
+    with_more, without = after(made, 4), after(replace(made, carried=()), 4)
+    for name, array in without.state.numpy().items():
+        assert np.array_equal(array, with_more.state.numpy()[name]), name
+    assert without.state.f.more == {} and without.state.course.left == {}
+
+
+def test_a_torn_run_goes_on(device, tmp_path):
+    """From a checkpoint, and back from a frame that fails, with what rims and drops hold."""
+    made = TORN["film"][0]()
+    simulation = after(made, 3)
+    simulation.save_checkpoint(tmp_path / "c.npz")
+    simulation.advance_frame()
+    again = Simulation(made, checkpoint=tmp_path / "c.npz")
+    again.step_towards(again.time + 1e-3)
+    again.back()
+    again.advance_frame()
+    for name, array in simulation.state.numpy().items():
+        assert np.array_equal(array, again.state.numpy()[name]), name
