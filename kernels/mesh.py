@@ -810,3 +810,50 @@ def list_faces_v(
                     edge_of(rings, edge_start, n, b, i),
                 )
                 f += 1
+
+
+@wp.kernel
+def mean_near_v(
+    grid: wp.uint64,
+    x: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    area: wp.array(dtype=float),
+    value: wp.array(dtype=float),
+    point: wp.array(dtype=wp.vec3),
+    of: wp.array(dtype=wp.int32),
+    radius: float,
+    rounds: int,
+    # outputs
+    mean: wp.array(dtype=float),
+):
+    """What particles of a region have near points, (1 - d/r)^2 a the weights; r doubles until there are any. [k].
+
+    Args:
+        grid: with the particles.
+        x: [n] m.
+        region: [n] index of each one's region.
+        area: [n] m^2.
+        value: [n] what they have on it.
+        point: [k] m.
+        of: [k] region of each point.
+        radius: the first r, m.
+        rounds: how often r may double.
+        mean: [k] 0 where there are none.
+    """
+    i = wp.tid()
+    r = radius
+    for _round in range(rounds + 1):
+        weight = float(0.0)
+        total = float(0.0)
+        query = wp.hash_grid_query(grid, point[i], r)
+        j = int(0)
+        while wp.hash_grid_query_next(query, j):
+            d = wp.length(x[j] - point[i])
+            if region[j] == of[i] and d < r:
+                w = (1.0 - d / r) * (1.0 - d / r) * area[j]
+                weight += w
+                total += w * value[j]
+        if weight > 0.0:
+            mean[i] = total / weight
+            return
+        r = 2.0 * r

@@ -11,6 +11,7 @@ import numpy as np
 from melp_warp.errors import require
 
 TAKEN = {"x", "u", "v", "affine", "normal", "mass", "surfactant", "eta", "region", "circulation", "behind", "thickness"}
+TAKEN |= {"inertia", "after", "before", "flow", "film", "growth", "limit", "other", "inside", "outside"}
 """Names of what L and frames hold anyway."""
 
 

@@ -244,6 +244,7 @@ def _add_preview(commands: argparse._SubParsersAction) -> None:
     add("--layers", metavar="N", type=int, help="films seen behind one another at most (default: 8)")
     add("--samples", metavar="N", type=int, default=2, help="samples along a pixel's side, 1 to 4 (default: 2)")
     add("--particles", action="store_true", help="draw the particles, not the surface")
+    add("--show", metavar="NAME", help="draw what the scene declares, in false colours from dark blue to yellow")
     add("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
     preview.set_defaults(command=_preview)
 

@@ -76,6 +76,7 @@ class MeshFrame:
         black_film: [n] int32, 1 where the film is Newton black film.
         faces: [f, 3] int32, corners, counterclockwise seen from outside.
         origin: where the points are measured from, m; the same in all frames of a run.
+        carried: name -> [n] float32, what the scene declares besides, in its unit.
     """
 
     points: np.ndarray
@@ -85,12 +86,14 @@ class MeshFrame:
     black_film: np.ndarray
     faces: np.ndarray
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    carried: dict[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MeshFrame:
+    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0), carried: Sequence[str] = ()) -> MeshFrame:
         """The mesh of a region that is not there."""
         none = np.zeros((0, 3), np.float32)
-        return cls(none, none, none, none[:, 0], np.zeros(0, np.int32), np.zeros((0, 3), np.int32), origin)
+        more = dict.fromkeys(carried, none[:, 0])
+        return cls(none, none, none, none[:, 0], np.zeros(0, np.int32), np.zeros((0, 3), np.int32), origin, more)
 
 
 @dataclass
@@ -107,6 +110,7 @@ class WholeFrame:
         inside: [f] int32, the region that each face looks out of.
         outside: [f] int32, the one that it looks into, a higher number; -1 for the air around the foam.
         origin: where the points are measured from, m; the same in all frames of a run.
+        carried: name -> [3 f] float32, what the scene declares besides, of the sheet inside, in its unit.
     """
 
     points: np.ndarray
@@ -118,12 +122,14 @@ class WholeFrame:
     inside: np.ndarray
     outside: np.ndarray
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    carried: dict[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> WholeFrame:
+    def empty(cls, origin: tuple[float, float, float] = (0.0, 0.0, 0.0), carried: Sequence[str] = ()) -> WholeFrame:
         """The mesh of a foam without bubbles."""
         none, numbers = np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
-        return cls(none, none, none, none[:, 0], numbers, np.zeros((0, 3), np.int32), numbers, numbers, origin)
+        more = dict.fromkeys(carried, none[:, 0])
+        return cls(none, none, none, none[:, 0], numbers, np.zeros((0, 3), np.int32), numbers, numbers, origin, more)
 
     def skin(self, region: int) -> MeshFrame:
         """The faces around a region, looking out of it; normals are means of the films at a vertex."""

@@ -19,6 +19,9 @@ WATER_INDEX = 1.33
 DISPLAY_GAIN = 13.0
 """Factor that brings the brightest interference colour at normal incidence to about white."""
 
+_FALSE = ((0.01, 0.01, 0.09), (0.03, 0.08, 0.22), (0.04, 0.25, 0.23), (0.28, 0.52, 0.1), (0.95, 0.83, 0.06))
+"""Colours of `false_colors`, evenly spaced, linear sRGB."""
+
 DISPLAY_MAX_THICKNESS = 4000.0
 """nm; above it `display_color` gives the colour of this thickness (fringes have washed out to grey)."""
 
@@ -197,6 +200,16 @@ def color_table(
         require(isinstance(count, (int, np.integer)) and count >= 2, field, count, "a whole number of at least 2")
     thickness = np.linspace(0.0, max_thickness_nm, n_thickness)
     return interference_color(thickness[:, None], np.linspace(0.0, 1.0, n_cos), index).astype(np.float32)
+
+
+def false_colors(count: int = 256) -> np.ndarray:
+    """Return colours for a quantity from its least to its largest value: dark blue, green, yellow, ever lighter.
+
+    Returns:
+        Linear sRGB, [count, 3] float32.
+    """
+    at, stops = np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, len(_FALSE))
+    return np.stack([np.interp(at, stops, channel) for channel in np.array(_FALSE).T], axis=1).astype(np.float32)
 
 
 def clip_to_gamut(color: np.ndarray) -> np.ndarray:

@@ -663,9 +663,9 @@ class Simulation:
         scene = checkpoint.changed(self.scene, numbers)
         now, then = self.film.features, Features.of(scene, self.state.course.holed)
         if then != now:
-            stages = [f.name for f in fields(Features) if getattr(now, f.name) != getattr(then, f.name)]
+            parts = [f.name for f in fields(Features) if getattr(now, f.name) != getattr(then, f.name)]
             names = ", ".join(numbers)
-            raise InputError(f"{names} cannot change so during a run, which was begun with other stages: {stages}")
+            raise InputError(f"{names} cannot change so during a run, which was begun with other parts: {parts}")
         self.stepper.settle()
         film = {"spacing": self.film.spacing, "radius": self.film.radius, "room": self.film.room}
         self._scene = scene

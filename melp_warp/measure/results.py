@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -112,6 +112,27 @@ class VertexMeasure:
 
 
 @dataclass(frozen=True)
+class CarriedMeasure:
+    """What the scene declares, on the film of one bubble.
+
+    Attributes:
+        name: of the quantity.
+        unit: its own; "" where it is not known.
+        region: index of the bubble.
+        least, mean, most: of its values, the mean by area.
+        total: integral over the film, unit m^2.
+    """
+
+    name: str
+    unit: str
+    region: int
+    least: float
+    mean: float
+    most: float
+    total: float
+
+
+@dataclass(frozen=True)
 class Measurement:
     """What `measure` finds.
 
@@ -124,6 +145,7 @@ class Measurement:
         film_area: of all films, each counted once, m^2.
         fitted_area: the same for a double bubble by the fitted spheres alone; None for any other foam.
         least_area: the least for two equal bubbles of these volumes; None where they differ by more than 5 %.
+        carried: what the scene declares, quantity by quantity and region by region.
     """
 
     spacing: float
@@ -134,6 +156,7 @@ class Measurement:
     film_area: float
     fitted_area: float | None
     least_area: float | None
+    carried: tuple[CarriedMeasure, ...] = ()
 
     def to_json(self) -> dict:
         """Return everything as dictionaries, lists, numbers and None."""
@@ -143,7 +166,10 @@ class Measurement:
         """Return everything as text."""
         return "\n\n".join(
             columns(rows)
-            for rows in (*self._regions(), self._pairs(), self._triples(), self._vertices(), self._totals())
+            for rows in (
+                *(*self._regions(), self._pairs(), self._triples(), self._vertices()),
+                *(self._carried(), self._totals()),
+            )
             if len(rows) > 1
         )
 
@@ -177,6 +203,10 @@ class Measurement:
         body = [(_names(v.regions), v.point, " ".join(f"{a:.2f}" for a in v.angles)) for v in self.vertices]
         return _rows(("vertex", "point m", "angles between the lines"), body)
 
+    def _carried(self) -> list:
+        head = ("carried", "region", "unit", "least", "mean", "most", "over the film, unit m2")
+        return _rows(head, [(c.name, c.region, c.unit, c.least, c.mean, c.most, c.total) for c in self.carried])
+
     def _totals(self) -> list:
         body = [
             ("film area m2", self.film_area),
@@ -187,12 +217,13 @@ class Measurement:
         return _rows(("total", ""), [row for row in body if row[1] is not None])
 
 
-def measure(frame: ParticleFrame, spacing: float | None = None) -> Measurement:
+def measure(frame: ParticleFrame, spacing: float | None = None, units: Mapping[str, str] | None = None) -> Measurement:
     """Measure the bubbles of one frame.
 
     Args:
         frame: closed surfaces by region; `widths` hold the areas of the particles. Open surfaces have no volume.
         spacing: distance of neighbouring particles, m; by default the root of the mean area of a particle.
+        units: of what the frame has in `carried`, by name.
 
     Raises:
         InputError: the frame has no particles, or particles without an area or a unit normal.
@@ -215,6 +246,7 @@ def measure(frame: ParticleFrame, spacing: float | None = None) -> Measurement:
         film_area=float(cloud.area @ np.where(other == OUTSIDE, 1.0, 0.5)),
         fitted_area=_double_area(films, pairs[0]) if double else None,
         least_area=_least_area(regions[0].volume, regions[1].volume) if double else None,
+        carried=tuple(_carried(frame, cloud, units or {})),
     )
 
 
@@ -239,12 +271,13 @@ def measure_cache(
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
     frame = frames[-1] if frame is None else frame
     require(frame in frames, "--frame", frame, f"from {frames[0]} to {frames[-1]}")
-    has_e = "FilmE" in read_root(folder)["prims"]
+    root = read_root(folder)
+    has_e = "FilmE" in root["prims"]
     require(which != "e" or has_e, "--set", which, "film, as the cache has no /World/FilmE")
     prim = "FilmE" if has_e and which != "film" else "Film"
     if spacing is None and has_e:
         spacing = make_cloud(read_frame(folder, frame, "FilmE"), None).spacing
-    return measure(read_frame(folder, frame, prim), spacing)
+    return measure(read_frame(folder, frame, prim), spacing, root["carried"])
 
 
 # --- bubbles, films and lines ----------------------------------------------------------------------------------------
@@ -264,6 +297,15 @@ def _region(cloud: Cloud, other: np.ndarray, films: Films, k: int) -> RegionMeas
         cap_area=float(cloud.area[mine & (other == OUTSIDE)].sum()),
         pressure=4.0 * cap.curvature if cap else None,
     )
+
+
+def _carried(frame: ParticleFrame, cloud: Cloud, units: Mapping[str, str]) -> Iterable[CarriedMeasure]:
+    for name, values in frame.carried.items():
+        for k in np.unique(cloud.region):
+            held, area = values[cloud.region == k].astype(np.float64), cloud.area[cloud.region == k]
+            total = float(held @ area)
+            bounds = float(held.min()), total / float(area.sum()), float(held.max())
+            yield CarriedMeasure(name, units.get(name, ""), int(k), *bounds, total)
 
 
 def _enclosed(x: np.ndarray, normal: np.ndarray, area: np.ndarray) -> tuple[float | None, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -148,7 +149,8 @@ def _clear_of_rims(e: ParticleFrame, beads: ParticleFrame) -> ParticleFrame:
 
 def _some(frame: ParticleFrame, kept: np.ndarray) -> ParticleFrame:
     """The particles of a mask."""
-    return ParticleFrame(**{k: v[kept] if isinstance(v, np.ndarray) else v for k, v in vars(frame).items()})
+    some = {name: values[kept] for name, values in vars(frame).items() if isinstance(values, np.ndarray)}
+    return replace(frame, **some, carried={name: held[kept] for name, held in frame.carried.items()})
 
 
 def _pieces(e: ParticleFrame) -> np.ndarray:

@@ -286,6 +286,7 @@ def render(
     environment: str = "auto",
     index: float = optics.WATER_INDEX,
     background: str = "dark",
+    colors: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draw one frame; one without film, as after the last bubble popped, is the backdrop alone.
 
@@ -306,6 +307,8 @@ def render(
             film, else studio.
         index: refractive index of the film.
         background: "dark", "light", "#rrggbb" or "around" (what the environment shows there); particles have "dark".
+        colors: [k, 3] linear sRGB of thicknesses from 0 to `optics.DISPLAY_MAX_THICKNESS`, in place of interference
+            colours; None for these.
 
     Returns:
         [height, width, 3] uint8, sRGB.
@@ -324,7 +327,7 @@ def render(
     if environment == "auto":
         environment = "panel" if camera.flat else "studio"
     view = _view(camera, width, height, samples)
-    table = _color_table(float(index), str(device))
+    table = _color_table(float(index), str(device)) if colors is None else _table_of(colors, device)
     if meshed:
         films = layers or int(raster.MOST_FILMS)
         look = (environment, background, exposure, films, table, device)
@@ -503,6 +506,11 @@ def _splats(frame: ParticleFrame, data: dict[str, np.ndarray], camera: Camera, w
 def _color_table(index: float, device: str) -> wp.array:
     table = optics.color_table(_TABLE_NM, 2048, 64, index)
     return wp.array(table, dtype=wp.vec3, device=device)
+
+
+def _table_of(colors: np.ndarray, device) -> wp.array:
+    """Colours that are the same from all sides."""
+    return wp.array(np.repeat(colors[:, None], 2, axis=1), dtype=wp.vec3, device=device)
 
 
 def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:

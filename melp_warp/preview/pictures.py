@@ -51,6 +51,7 @@ class Shot:
         layers: likewise.
         samples: likewise.
         particles: whether to draw the particles, though there is a surface.
+        show: name of what the scene declares, to be drawn in false colours in place of the film's; None for these.
         device: Warp's name of the device.
     """
 
@@ -72,6 +73,7 @@ class Shot:
     layers: int | None = None
     samples: int = 2
     particles: bool = False
+    show: str | None = None
     device: str = "cpu"
 
 
@@ -82,9 +84,10 @@ class Cache:
         folder: its folder.
         frames: numbers of its frames.
         fps: frames per second.
+        units: of what the scene declares, by name.
     """
 
-    def __init__(self, folder: Path, particles: bool = False):
+    def __init__(self, folder: Path, particles: bool = False, show: str | None = None):
         from melp_warp.usd.apart import read_root
         from melp_warp.usd.cache import FREE_RIMS, WHOLE, list_frames
 
@@ -97,6 +100,10 @@ class Cache:
         self._whole = WHOLE in root["prims"]
         self._with_e, self._with_l, self._l_per_e = "FilmE" in root["prims"], root["with_l"], root["l_per_e"]
         self._particles, self._bursts = particles, FREE_RIMS in root["prims"]
+        self.units, self.show, self.range = root["carried"], show, (0.0, 0.0)
+        known = ", ".join(self.units) or "nothing, as the scene declares nothing"
+        require(show is None or show in self.units, "--show", show, f"one of {known}")
+        self._meshes, self._whole = ([], False) if show else (self._meshes, self._whole)
 
     def film(self, frame: int) -> Surface | ParticleFrame:
         """What there is of a frame to draw: its meshes, or ones that are made of its particles, or these alone."""
@@ -111,12 +118,12 @@ class Cache:
         if self._meshes and not self._particles:
             meshes = {k: apart.read_mesh(self.folder, frame, k) for k in self._meshes}
             return Surface(meshes, self._rims, self._floors, beads=beads, drops=drops)
-        film = apart.read_frame(self.folder, frame)
+        film = self._read(frame)
         if self._particles:
             return film
         e, many = film, None
         if self._with_l:
-            e = apart.read_frame(self.folder, frame, "FilmE") if self._with_e else thin_out(film, self._l_per_e)
+            e = self._read(frame, "FilmE") if self._with_e else thin_out(film, self._l_per_e)
             many = film
         try:
             meshes, problems = mesh_torn(e, many, self._rims, beads)
@@ -127,6 +134,27 @@ class Cache:
             print(f"melp-warp: notice: frame {frame} is drawn from its particles: {holes[0]}", file=sys.stderr)
             return film
         return Surface(meshes, self._rims, self._floors, beads=beads, drops=drops)
+
+    def _read(self, frame: int, prim: str = "Film") -> ParticleFrame:
+        """A set of particles; with what is shown in place of their thickness, from 0 to the thickest that is drawn."""
+        from melp_warp.optics import DISPLAY_MAX_THICKNESS
+        from melp_warp.usd.apart import read_frame
+
+        read = read_frame(self.folder, frame, prim)
+        if self.show is None:
+            return read
+        low, high = self.range
+        shown = (read.carried[self.show].astype(np.float64) - low) / max(high - low, 1e-300)
+        return replace(read, thickness=(DISPLAY_MAX_THICKNESS * shown.clip(0.0, 1.0)).astype(np.float32))
+
+    def find_range(self, frames: Sequence[int]) -> tuple[float, float]:
+        """Set the range of what is shown: least and largest value in some of the frames."""
+        from melp_warp.usd.apart import read_frame
+
+        held = [read_frame(self.folder, frame).carried[self.show] for frame in spread(frames, CAMERA_FRAMES)]
+        found = np.concatenate([values.astype(np.float64) for values in held])
+        self.range = (float(found.min(initial=np.inf)), float(found.max(initial=-np.inf))) if len(found) else (0.0, 0.0)
+        return self.range
 
     def _liquid(self, frame: int) -> tuple[ParticleFrame | None, ParticleFrame | None]:
         """Free rims and drops of a frame."""
@@ -164,8 +192,11 @@ def shoot(shot: Shot) -> list[Path]:
     from melp_warp.preview import draw as preview
 
     _check(shot)
-    cache = Cache(shot.folder, shot.particles)
+    cache = Cache(shot.folder, shot.particles, shot.show)
     numbers = _numbers(cache, shot.frames)
+    if shot.show is not None:
+        low, high = cache.find_range(numbers)
+        print(f"{shot.show}: dark blue is {low:.4g}, yellow {high:.4g} {cache.units[shot.show]}")
     names = _names(shot, numbers)
     cameras = _cameras(shot, cache, len(numbers))
     if shot.movie:
@@ -239,6 +270,7 @@ def _cameras(shot: Shot, cache: Cache, count: int) -> list[Camera]:
 
 
 def _draw(shot: Shot, cache: Cache, number: int, camera: Camera) -> np.ndarray:
+    from melp_warp.optics import false_colors
     from melp_warp.preview.draw import render
     from melp_warp.preview.surface import Surface
 
@@ -247,6 +279,8 @@ def _draw(shot: Shot, cache: Cache, number: int, camera: Camera) -> np.ndarray:
     options = {"layers": shot.layers, "background": shot.background, "environment": shot.environment} | plain
     if shot.exposure is not None:
         options["exposure"] = shot.exposure
+    if shot.show is not None:
+        options |= {"environment": "white", "layers": 1, "exposure": 1.0, "colors": false_colors()}
     return render(film, shot.width, shot.height, camera, shot.device, samples=shot.samples, **options)
 
 

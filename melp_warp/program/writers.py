@@ -169,7 +169,8 @@ class Moment:
         rims = rims_of(plan, e.origin)
         made, problems = make_surfaces(e, lagrangian, rims, plan.triangles, plan.whole, beads)
         prims = mesh_prims(all_regions(plan), plan.whole)
-        return {p: self._slowed(made.get(p) or frame_kind(p).empty(e.origin)) for p in prims}, problems
+        names = list(plan.scene.shown)
+        return {p: self._slowed(made.get(p) or frame_kind(p).empty(e.origin, names)) for p in prims}, problems
 
     def _particles(self, which: str) -> ParticleFrame:
         if which not in self._made:
@@ -208,13 +209,17 @@ def make_surfaces(
     whole: bool,
     beads: ParticleFrame | None,
 ) -> tuple[dict, list[str]]:
-    """The meshes of a frame by prim, and what could not be closed."""
+    """The meshes of a frame by prim, with what the particles carry, and what could not be closed."""
     from melp_warp.mesh.outline import mesh_torn
+    from melp_warp.mesh.shade import shade
     from melp_warp.mesh.whole import make_whole
     from melp_warp.usd.cache import WHOLE, surface_prim
 
     if whole:
         mesh, problems = make_whole(e, lagrangian, rims, triangles)
+        shade(mesh, 0, lagrangian or e)
         return {WHOLE: mesh}, problems
     made, problems = mesh_torn(e, lagrangian, rims, beads, triangles)
+    for region, mesh in made.items():
+        shade(mesh, region, lagrangian or e)
     return {surface_prim(region): mesh for region, mesh in made.items()}, problems

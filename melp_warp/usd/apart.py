@@ -189,13 +189,13 @@ def _read(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame 
 
     question = {"call": "frame", "directory": str(directory), "frame": frame, "prim": prim}
     answer, data = _ask_once(question, frame_path(directory, frame))
+    names = [*_ARRAYS[answer["kind"]], *answer["carried"]]
     arrays = {
         name: np.frombuffer(bytes_, dtype).reshape(shape).copy()
-        for name, dtype, shape, bytes_ in zip(
-            _ARRAYS[answer["kind"]], answer["types"], answer["shapes"], data, strict=True
-        )
+        for name, dtype, shape, bytes_ in zip(names, answer["types"], answer["shapes"], data, strict=True)
     }
-    frame = _KINDS[answer["kind"]](**arrays, origin=tuple(answer["origin"]))
+    carried = {name: arrays.pop(name) for name in answer["carried"]}
+    frame = _KINDS[answer["kind"]](**arrays, origin=tuple(answer["origin"]), carried=carried)
     return refine_normals(frame) if answer["packed"] else frame
 
 
@@ -204,7 +204,7 @@ def read_root(directory: str | os.PathLike) -> dict:
 
     Returns:
         prims: names from /World; framesPerSecond; rims: points of each wire, m; floors: point and normal of each, m;
-        with_l: whether /World/Film holds L, and l_per_e.
+        with_l: whether /World/Film holds L, and l_per_e; carried: names and units of what the scene declares.
 
     Raises:
         InputError: as `usd.read_metadata`, or USD hangs or breaks down on the file.
@@ -279,9 +279,11 @@ def _answer_frame(question: dict, say) -> None:
     frame, packed = usd.read_prim(question["directory"], question["frame"], question["prim"])
     usd.check_sizes(path, frame)
     kind = next(name for name, of in _KINDS.items() if isinstance(frame, of))
-    arrays = [np.ascontiguousarray(getattr(frame, name)) for name in _ARRAYS[kind]]
+    held = [*(getattr(frame, name) for name in _ARRAYS[kind]), *frame.carried.values()]
+    arrays = [np.ascontiguousarray(a) for a in held]
     types, shapes = [str(a.dtype) for a in arrays], [a.shape for a in arrays]
     answer = {"kind": kind, "types": types, "shapes": shapes, "origin": frame.origin, "packed": packed, "done": True}
+    answer["carried"] = list(frame.carried)
     say(answer, [a.tobytes() for a in arrays])
 
 
@@ -303,10 +305,13 @@ def _answer_root(question: dict, say) -> None:
     from melp_warp.usd.cache import floors_of, holds_l, read_metadata, read_rims
 
     metadata = read_metadata(question["directory"])
+    units = metadata.get("carried")
+    units = {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
     with_l, l_per_e = holds_l(metadata)
     root = {"prims": metadata["prims"], "framesPerSecond": metadata["framesPerSecond"], "with_l": with_l}
     rims = [rim.tolist() for rim in read_rims(question["directory"])]
-    say({"root": root | {"rims": rims, "floors": floors_of(metadata), "l_per_e": l_per_e}, "done": True})
+    root |= {"rims": rims, "floors": floors_of(metadata), "l_per_e": l_per_e, "carried": units}
+    say({"root": root, "done": True})
 
 
 def _answer_check(question: dict, say) -> None:

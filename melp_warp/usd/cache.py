@@ -168,10 +168,12 @@ class Layout(NamedTuple):
     Attributes:
         packed: the sets that are packed, see packing.py.
         carried: primvars of what a scene declares, in the sets of E and L.
+        meshed: those that meshes have.
     """
 
     packed: frozenset[str] = frozenset()
     carried: tuple[str, ...] = ()
+    meshed: tuple[str, ...] = ()
 
 
 PLAIN = Layout()
@@ -179,14 +181,13 @@ PLAIN = Layout()
 
 def attributes_of(prim: str, layout: Layout = PLAIN) -> tuple[Attribute, ...]:
     """The attributes of a prim of a cache, the extent last."""
-    if prim == WHOLE:
-        return WHOLE_ATTRIBUTES
     if is_mesh(prim):
-        return MESH_ATTRIBUTES
-    own = PACKED_ATTRIBUTES if prim in layout.packed else ATTRIBUTES
-    if prim not in FILM_SETS or not layout.carried:
-        return own
-    more = (_SHARED["primvars:thickness"]._replace(name=f"primvars:{n}", field=f"carried.{n}") for n in layout.carried)
+        own, names = WHOLE_ATTRIBUTES if prim == WHOLE else MESH_ATTRIBUTES, layout.meshed
+    else:
+        own = PACKED_ATTRIBUTES if prim in layout.packed else ATTRIBUTES
+        names = layout.carried if prim in FILM_SETS else ()
+    thickness = next(attribute for attribute in own if attribute.name == "primvars:thickness")
+    more = (thickness._replace(name=f"primvars:{name}", field=f"carried.{name}") for name in names)
     return (*own[:-1], *more, own[-1])
 
 
@@ -205,11 +206,17 @@ def with_rows(attributes: Sequence[Attribute]) -> list[Attribute]:
 def layout_of(layer, prims: Sequence[str]) -> Layout:
     """What the particle sets of a layer have."""
     packed = {prim for prim in prims if layer.GetAttributeAtPath(f"/World/{prim}.{PACKED_NORMALS.name}")}
-    known = {attribute.name for attribute in with_rows((*ATTRIBUTES, *PACKED_ATTRIBUTES))}
-    sets = [layer.GetPrimAtPath(f"/World/{p}") for p in prims if p in FILM_SETS]
-    names = [spec.name for spec in sets[0].attributes] if sets and sets[0] else []
+    sets, meshes = [prim for prim in prims if prim in FILM_SETS], [prim for prim in prims if is_mesh(prim)]
+    return Layout(frozenset(packed), _declared_in(layer, sets), _declared_in(layer, meshes))
+
+
+def _declared_in(layer, prims: Sequence[str]) -> tuple[str, ...]:
+    """Primvars of what a scene declares in the first of these prims."""
+    known = {a.name for a in with_rows((*ATTRIBUTES, *PACKED_ATTRIBUTES, *MESH_ATTRIBUTES, *WHOLE_ATTRIBUTES))}
+    specs = [layer.GetPrimAtPath(f"/World/{prim}") for prim in prims]
+    names = [spec.name for spec in specs[0].attributes] if specs and specs[0] else []
     more = [name for name in names if name.startswith("primvars:") and name not in known]
-    return Layout(frozenset(packed), tuple(name.removeprefix("primvars:") for name in more))
+    return tuple(name.removeprefix("primvars:") for name in more)
 
 
 def frame_kind(prim: str) -> type[ParticleFrame] | type[MeshFrame] | type[WholeFrame]:
@@ -725,7 +732,7 @@ class CacheWriter:
         require(len(origin) == 3 and bool(np.all(np.isfinite(origin))), "origin", origin, "three finite numbers")
         self.directory = Path(directory)
         self._fps, self._prims, self._gain, self._index = float(fps), tuple(prims), float(gain), float(index)
-        self._layout = Layout(frozenset(packed), tuple(carried or ()))
+        self._layout = Layout(frozenset(packed), tuple(carried or ()), tuple(carried or ()))
         _check_carried(self._layout)
         self._first: int | None = None
         self._last: int | None = None
@@ -767,7 +774,7 @@ class CacheWriter:
             _check_arrays(
                 f"frame {frame_index} {prim}",
                 frames[prim],
-                attributes_of(prim, PLAIN._replace(carried=self._layout.carried)),
+                attributes_of(prim, self._layout._replace(packed=frozenset())),
             )
             found = frames[prim].origin
             require(
@@ -1003,21 +1010,22 @@ def add_meshes(
     points = [prim for prim in sets if prim not in (FREE_RIMS, DROPS)]
     numbers = list_frames(directory)
     require("Film" in points and bool(numbers), "directory", str(directory), "a cache with frames and /World/Film")
-    origin = origin_of(root, "Film")
+    origin, layout = origin_of(root, "Film"), layout_of(root, points)
+    layout = layout._replace(meshed=layout.carried)
     for frame in numbers:
         path = frame_path(directory, frame)
         made, layer = make(frame), open_layer(path)
         _drop_meshes(layer)
-        _declare(layer, meshes, origin)
+        _declare(layer, meshes, origin, layout)
         for prim in meshes:
-            mesh = made.get(prim) or frame_kind(prim).empty(origin)
-            _check_arrays(f"frame {frame} {prim}", mesh, attributes_of(prim))
-            _set_values(layer, frame, prim, mesh, PLAIN, gain, index)
+            mesh = made.get(prim) or frame_kind(prim).empty(origin, layout.meshed)
+            _check_arrays(f"frame {frame} {prim}", mesh, attributes_of(prim, layout))
+            _set_values(layer, frame, prim, mesh, layout, gain, index)
         sums[f"{FRAMES}/{path.name}"] = _export(layer, path)
-    manifest = _manifest_layer(fps, [*sets, *meshes], layout_of(root, points))
+    manifest = _manifest_layer(fps, [*sets, *meshes], layout)
     sums[MANIFEST] = _export(manifest, directory / MANIFEST)
     _drop_meshes(root)
-    _declare(root, meshes, origin)
+    _declare(root, meshes, origin, layout)
     _set_range(root, numbers[0], numbers[-1])  # before USD opens it as a stage: no clips but these
     _bind(root, meshes)
     return sums | {ROOT: _export(root, directory / ROOT)}

@@ -4,9 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from melp_warp import Carried, InputError, Scene, Simulation, Sphere, cli, load_scene, read_frame
+from melp_warp.measure import measure_cache
 from melp_warp.stepping.parts import kernel_files
+from melp_warp.usd import apart
+from melp_warp.usd.cache import read_mesh, read_whole
 from melp_warp.usd.check import check_cache
 
 TWIN = Carried("twin", "mol/m^2", start=1e-7)
@@ -226,3 +230,38 @@ def test_a_torn_run_goes_on(device, tmp_path):
     again.advance_frame()
     for name, array in simulation.state.numpy().items():
         assert np.array_equal(array, again.state.numpy()[name]), name
+
+
+def test_it_is_measured_meshed_and_shown(device, tmp_path, capsys):
+    """Meshes have it, by name and in between what the L have; measure adds it up; a picture shows where it is."""
+    page, out = tmp_path / "dyed.py", tmp_path / "out"
+    page.write_text(
+        "from melp_warp import Carried, Sphere, declare\n"
+        "PARAMETERS = declare(radius=0.03, e_count=200, l_per_e=4, frames=0)\n"
+        "def build(p):\n"
+        "    dye = Carried('dye', 'kg/m^2', lambda x: 1.0 + 10.0 * x[:, 0])\n"
+        "    return p.scene('dyed', Sphere(p.radius), carried=[dye])\n"
+    )
+    assert cli.main(["run", str(page), "--out", str(out), "--quiet", "--export", "both", "--mesh"]) == 0
+    mesh = read_mesh(out, 0)
+    assert mesh.carried["dye"] == pytest.approx(1.0 + 10.0 * mesh.points[:, 0], abs=0.04)
+    assert apart.read_mesh(out, 0).carried["dye"] == pytest.approx(mesh.carried["dye"])
+    found = measure_cache(out).carried[0]
+    assert (found.name, found.unit, found.region) == ("dye", "kg/m^2", 0)
+    assert found.total == pytest.approx(4.0 * np.pi * 0.03**2, rel=0.02)
+    assert found.mean == pytest.approx(1.0, abs=0.01) and found.most == pytest.approx(1.3, abs=0.04)
+    capsys.readouterr()
+    picture = tmp_path / "dye.png"
+    shot = ["preview", str(out), "--show", "dye", "--size", "64", "--samples", "1", "--out", str(picture)]
+    assert cli.main([*shot, "--from", "0,0,1"]) == 0
+    assert "dye: dark blue is" in capsys.readouterr().out
+    pixels = np.asarray(Image.open(picture)).astype(int)
+    left, middle, right = (pixels[32, column] for column in (14, 32, 49))
+    assert left[0] < middle[0] < right[0] and right[2] < right[0]
+    assert cli.main([*shot[:2], "--show", "salt"]) == 2
+    assert "--show must be one of dye" in capsys.readouterr().err
+    assert cli.main(["mesh", str(out), "--whole"]) == 0
+    whole = read_whole(out, 0)
+    at = whole.points[whole.faces.reshape(-1)]
+    assert whole.carried["dye"] == pytest.approx(1.0 + 10.0 * at[:, 0], abs=0.04)
+    assert check_cache(out) == []
