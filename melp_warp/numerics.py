@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from melp_warp.errors import require
 from melp_warp.keys import Key, at_least_zero, check_numbers, count, quantity, word
 
 SCHEMES = ("backward_euler", "trapezoid", "explicit")
@@ -39,6 +40,8 @@ class Numerics:
         skin: lists live until particles have moved half of it.
         redistribution: by (20).
         spread: (delta_max - delta_min)/delta_mean below which E are left alone.
+        respacing: factor, or one over it, by which the spacing of E may change as a film stretches or shrinks before E
+            are put in or taken out, see stepping/respacing.py; None for E that stay.
         xsph: the artificial viscosity of a single layer's flow along the film; the paper has 0.99. E of MELP have no
             velocity of their own along the film.
         gradient: "difference" is the paper's (21); "symmetric" in pairs keeps momentum and energy, but takes the noise
@@ -75,6 +78,16 @@ class Numerics:
         Key("-", "share of their unevenness that E lose in a step (0: none)", 0.0, 1.0), 0.3
     )
     spread: float = quantity(at_least_zero("-", "relative spread of E density that is left alone", 10.0), 0.2)
+    respacing: float | None = quantity(
+        Key(
+            "-",
+            "growth of the E spacing at which E come, its inverse at which some go (auto: none)",
+            1.05,
+            2.0,
+            auto=True,
+        ),
+        None,
+    )
     xsph: float = quantity(Key("-", "smoothing of the velocity of a single layer, a step", 0.0, 1.0), 0.99)
     gradient: str = quantity(word("Marangoni force of a single layer", GRADIENTS), "difference")
     border: float = quantity(Key("spacings", "gap within which films cling to each other", 0.5, 4.0), 1.0)
@@ -93,3 +106,5 @@ class Numerics:
 
     def __post_init__(self):
         check_numbers(self)
+        even = self.respacing is None or self.redistribution > 0.0
+        require(even, "redistribution", self.redistribution, "above 0 where E come and go: respacing")

@@ -180,6 +180,14 @@ class Scene:
         """Whether gas comes or goes."""
         return bool(self.gas) or self.opening > 0.0
 
+    @property
+    def growth(self) -> float:
+        """Number of particles at the most over that at the start, as far as it is known."""
+        if isinstance(self.shape, Cluster):
+            return self.shape.growth
+        follows = self.numerics.respacing is not None
+        return max([1.0, *(amount ** (2.0 / 3.0) for _, amount in self.gas)]) if follows else 1.0
+
     def film_time(self, frame: float) -> float:
         """Time at the end of a frame (0: the start), s; frames are shorter in slow motion."""
         shown = frame / self.fps

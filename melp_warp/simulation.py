@@ -21,7 +21,7 @@ from melp_warp.frame import BLACK_FILM, ParticleFrame, beads
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
 from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
-from melp_warp.stages.film import Film
+from melp_warp.stages.film import THINNEST, Film
 from melp_warp.stages.notices import Notices
 from melp_warp.stages.state import AMOUNT, AREA, Snapshot, State
 from melp_warp.stepping import checkpoint
@@ -31,6 +31,7 @@ from melp_warp.stepping.events import Events
 from melp_warp.stepping.foam_burst import FoamBurst
 from melp_warp.stepping.ledger import Ledger, Reading
 from melp_warp.stepping.parts import kernel_files
+from melp_warp.stepping.respacing import Respacing
 from melp_warp.stepping.sampling import FAR, MOST_TURN, film_of, make_film, set_up_again, unresolved
 from melp_warp.stepping.stepper import make_stepper
 from melp_warp.stepping.topology import Stored
@@ -66,6 +67,10 @@ def find_device(name: str) -> wp.Device:
     except Exception:
         known = ", ".join(str(d) for d in wp.get_devices())
         raise InputError(f"device must be one of those here, {known}, got {name!r}") from None
+
+
+STRETCHED = 1.5
+"""Spacing of the E of a region over that at the start beyond which a run says that its film has stretched."""
 
 
 class Simulation:
@@ -105,6 +110,7 @@ class Simulation:
         kind = FoamBurst if isinstance(scene.shape, Cluster) else Burst
         self.burst = kind(self) if scene.bursts else None
         self.breath = Breath(self) if scene.breathes else None
+        self.respacing = Respacing(self) if scene.numerics.respacing is not None else None
         try:
             if checkpoint is not None:
                 self.load_checkpoint(checkpoint, changed)
@@ -126,6 +132,8 @@ class Simulation:
             self.events.begin(course)
         course.reach, course.speed = self._longest_way(), self._fastest_wave()
         course.gas = float(self.state.gas.numpy()[0, AMOUNT]) if self.breath is not None else 0.0
+        course.issued = {kind: len(ids) for kind, ids in {"d": (), **self.state.ids}.items()}
+        course.spacing = self.film.spacing
         self._look_at_shape()
         if features.budget:
             course.ledger = Ledger()
@@ -239,7 +247,8 @@ class Simulation:
         self.stepper.settle()
         self._remark()
         self._recentre()
-        if self.breath is not None and self.film.features.closed:
+        follows = self.respacing is not None and not self.gone and self.respacing.follow()
+        if not follows and self.breath is not None and self.film.features.closed:
             self.breath.respace()
         self._keep()
 
@@ -301,7 +310,31 @@ class Simulation:
         if self.stepper.budget is not None:
             self.ledger.take(self.stepper.budget.read(), self.time - self._last_dt)
         self.stepper.remark(self.notices)
+        if not self.gone:
+            self._remark_film()
         self.notices.end(self.frame)
+
+    def _remark_film(self) -> None:
+        """Note a film that has stretched or thinned beyond what its particles resolve (reads back)."""
+        film, e = self.film, self.state.e
+        count = np.diff(film.first.numpy())
+        growth = float(np.sqrt(self.state.gas.numpy()[:, AREA] / count).max()) / self.state.course.spacing
+        if growth > STRETCHED:
+            text = (
+                f"the film has stretched: its E are {growth:.3g} times as far apart as at the start and see what is"
+                " smaller no more; respacing=1.2 puts E and L in where a film's surface moves"
+            )
+            self.notices.note("stretched", growth, text)
+        eta = np.where(e.mass.numpy() > 0.0, self.stepper.fields.eta.numpy()[: film.n_e], np.inf)
+        if e.behind is not None:
+            eta[e.behind.numpy() == 1] = np.inf
+        i = int(np.argmin(eta))
+        if eta[i] < THINNEST:
+            text = (
+                f"the film at E {i} is {1e9 * eta[i]:.3g} nm thick: none is thinner than {1e9 * THINNEST:g} nm;"
+                " rupture_thickness lets it burst"
+            )
+            self.notices.note("thinner than a film", 1.0 / max(float(eta[i]), 1e-30), text)
 
     def _advance_to(self, end: float, watched: bool) -> None:
         """Take steps until `end` (s), each checked at once if it is `watched`."""
@@ -400,6 +433,7 @@ class Simulation:
             self.stepper.settle()
             stored = Stored.of(self.state)
             change(stored)
+            self.state.course.issued = stored.issued
             if self.burst is None or not self.burst.put_back(stored):
                 self._set_up(stored)
             if self.burst is not None:

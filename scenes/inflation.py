@@ -18,6 +18,7 @@ PARAMETERS = declare(
     noise_octaves=2,
     air="added_mass",
     drag=1e-3,
+    respacing=1.2,
     e_count=2000,
     l_per_e=16,
     frames=300,

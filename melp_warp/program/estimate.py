@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from melp_warp.cluster import Cluster
 from melp_warp.program.room import Written, size_text
 from melp_warp.scene import Scene
 from melp_warp.simulation import Simulation
@@ -141,7 +140,7 @@ def measure_cost(scene: Scene, device: str = "cpu", written: Written | None = No
     fraction = min(1.0, max(PARTICLES / (scene.e_count * (1 + scene.l_per_e)), FEWEST_E / scene.e_count))
     simulation = Simulation(replace(scene, e_count=max(1, round(fraction * scene.e_count))), device)
     dt, step_seconds = _take_steps(simulation)
-    share = fraction / (scene.shape.growth if isinstance(scene.shape, Cluster) else 1.0)
+    share = fraction / scene.growth
     e_count, l_count = (round(n / share) for n in (simulation.film.n_e, simulation.film.n_l))
     if scene.dt is None and dt < 0.99 / scene.fps:
         dt *= math.sqrt(fraction)  # cfl counts in spacings

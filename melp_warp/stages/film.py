@@ -21,6 +21,9 @@ CONTACT_REACH = 2.5
 THICKEST = 1e-3
 """Thickness beyond which water is no film, m: scenes do not start with it, and runs that come to it say so."""
 
+THINNEST = 4e-9
+"""Thickness of a Newton black film, m: runs that come below it say so."""
+
 ROOM = 1.4
 """Room of a neighbour list's row over the longest one when the list is made."""
 

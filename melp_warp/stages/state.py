@@ -261,6 +261,9 @@ class Course:
         rest: liquid that a frame has collected where a rim came to it, and that left with drops out of sight, kg.
         left: name -> what went with that, or with films that popped, of what the scene declares.
         shown: [3] where exported positions are measured from, the same for the whole run, m.
+        issued: how many numbers were given so far to E ("e"), L ("l") and drops ("d"): none is given twice.
+        spacing: E spacing at the start, m.
+        areas: of the regions a frame ago, m^2, where E come and go with them; else none.
         ledger: the energy budget so far; None where the scene wants none.
     """
 
@@ -288,6 +291,9 @@ class Course:
     rest: float = 0.0
     left: dict[str, float] = field(default_factory=dict)
     shown: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    issued: dict[str, int] = field(default_factory=lambda: {"e": 0, "l": 0, "d": 0})
+    spacing: float = 0.0
+    areas: list[float] = field(default_factory=list)
     ledger: Ledger | None = None
 
 
@@ -518,7 +524,7 @@ class State:
                 name: getattr(was, name)
                 for name in (
                     *("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger"),
-                    *("punctured", "holed", "gas", "run", "rest", "left", "tears"),
+                    *("punctured", "holed", "gas", "run", "rest", "left", "tears", "issued", "spacing", "areas"),
                 )
             },
             crossed=self.time,

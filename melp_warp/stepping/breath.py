@@ -1,7 +1,8 @@
 """Gas that comes and goes: a bubble that is blown up, let out, or leaks through an opening.
 
-The amount of gas is set between steps; how the film follows is the membrane's doing. A film that grows or shrinks keeps
-its E: they are as fine over its size as before, and lists, supports and the air's inertia go by the spacing they have.
+The amount of gas is set between steps; how the film follows is the membrane's doing. As a film grows or shrinks lists,
+supports and the air's inertia go by the spacing that its E have. Their number stays, unless they are to come and go
+with the area (respacing.py).
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from melp_warp.keyframes import Keyframes
+from melp_warp.stages.film import Film
 from melp_warp.stages.state import AMOUNT, AREA, GAUGE, VOLUME
 
 if TYPE_CHECKING:
     from melp_warp.simulation import Simulation
+    from melp_warp.stages.state import State
 
 CONTRACTION = 0.6
 """Share of an opening that a jet through it fills (sharp edge)."""
@@ -59,10 +62,15 @@ class Breath:
     def respace(self) -> bool:
         """Between frames: go by the spacing that E have now; whether that is another one."""
         sim = self._sim
-        gas = sim.state.gas.numpy()[0]
-        spacing = float(np.sqrt(gas[AREA] / sim.film.n_e))
-        if abs(spacing / sim.film.spacing - 1.0) < STRETCH:
+        film = breathed(sim.film, sim.state)
+        if abs(film.spacing / sim.film.spacing - 1.0) < STRETCH:
             return False
-        radius = float(np.cbrt(3.0 * gas[VOLUME] / (4.0 * np.pi)))
-        sim.remake(replace(sim.film, spacing=spacing, radius=radius))
+        sim.remake(film)
         return True
+
+
+def breathed(film: Film, state: State) -> Film:
+    """A closed film as large as its gas makes it."""
+    gas = state.gas.numpy()[0]
+    spacing = float(np.sqrt(gas[AREA] / film.n_e))
+    return replace(film, spacing=spacing, radius=float(np.cbrt(3.0 * gas[VOLUME] / (4.0 * np.pi))))

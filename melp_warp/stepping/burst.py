@@ -477,13 +477,12 @@ class Burst:
         made = [thread.drops(m.density, m.film_tension, rng) for thread in threads if thread.mass.sum() > 0.0]
         if not made:
             return
-        first = int(stored.ids["d"].max(initial=-1)) + 1
         for name in made[0]:
             new = np.concatenate([drops[name] for drops in made])
             was = arrays[f"d.{name}"]
             arrays[f"d.{name}"] = np.concatenate([was, new.astype(was.dtype)])
-        count = len(arrays["d.x"]) - len(stored.ids["d"])
-        stored.ids["d"] = np.concatenate([stored.ids["d"], np.arange(first, first + count)])
+        numbers = stored.issue("d", len(arrays["d.x"]) - len(stored.ids["d"]))
+        stored.ids["d"] = np.concatenate([stored.ids["d"], numbers])
 
     def _drop_film(self, stored: Stored) -> None:
         """Take away the film that is far behind the rims."""

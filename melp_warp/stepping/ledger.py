@@ -75,11 +75,16 @@ TERMS = (
     Term("air_range", LOSS, "air beyond its range, kept from making energy", ((kb.RANGE, 1),)),
     Term("redistribution", LOSS, "shifts of E", ((kb.SHIFTS, 1),)),
     Term("events", LOSS, "films that popped or merged, and those that came"),
+    Term("respacing", LOSS, "E and L that come and go with the area"),
 )
 """All terms: whoever adds a phenomenon adds a line here and a kernel that fills its slot.
 
 stores + dissipation + losses - work stays the same but for the rest.
 """
+
+
+CAUSES = ("events", "respacing")
+"""Terms of what changes a film between steps."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +159,8 @@ class Ledger:
         past: flows of the budgets before, up to the last change of regions, J.
         pushed: [3] impulse of outside forces up to then, kg m/s.
         impulse: [3] the same up to now, kg m/s.
-        owed: what is stored by the flows up to a change of regions, J; None where that is booked.
+        owed: what is stored by the flows up to a change of regions or of the number of E, J; None where that is booked.
+        cause: term that what the change makes of it is booked as.
         liquid: at the start, kg.
         surfactant: at the start, mol.
         momentum: [3] at the start, kg m/s; empty before.
@@ -173,6 +179,7 @@ class Ledger:
     pushed: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     impulse: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     owed: float | None = None
+    cause: str = "events"
     liquid: float = 0.0
     surfactant: float = 0.0
     momentum: list[float] = field(default_factory=list)
@@ -199,7 +206,7 @@ class Ledger:
             self.start = self._stores(reading.opened, self.weighed)
         if self.owed is not None:
             opened = sum(self._stores(reading.opened, self.weighed).values())
-            self.past["events"] += self.owed - opened
+            self.past[self.cause] += self.owed - opened
             self.owed = None
         self.time, self.stores = time, self._stores(reading.stored, reading.weighed)
         self.flows = {name: past + reading.flows[name] for name, past in self.past.items()}
@@ -218,14 +225,14 @@ class Ledger:
             "momentum": (reading.momentum - np.array(self.momentum) - np.array(self.impulse)).tolist(),
         }
 
-    def cut(self, reading: Reading, pending: Mapping[str, float]) -> None:
-        """Close the account of a budget whose regions are about to change, its last step included."""
+    def cut(self, reading: Reading, pending: Mapping[str, float], cause: str = "events") -> None:
+        """Close the account of a budget whose regions or E are about to change, its last step included."""
         if reading.fresh:
             return
         self.take(reading, self.time)
         self.past = {name: self.flows[name] + pending[name] for name in self.flows}
         self.pushed = list(self.impulse)
-        self.owed = sum(self.stores.values()) - _spent(pending)
+        self.owed, self.cause = sum(self.stores.values()) - _spent(pending), cause
 
     def remark(self, notices: Notices, frame: int) -> None:
         """Note, once a run is done with `frame`, a rest that was too large."""

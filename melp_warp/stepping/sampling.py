@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -324,7 +325,10 @@ def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tupl
     """
     state = state_of(scene, stored.arrays, len(stored.labels), film.device)
     state.ids = stored.ids
-    stays = ("limit", "cap", "speed", "pending", "unborn", "shown", "ledger", "punctured", "holed", "run", "rest")
+    stays = (
+        *("limit", "cap", "speed", "pending", "unborn", "shown", "ledger", "punctured", "holed", "run", "rest"),
+        *("issued", "spacing", "areas"),
+    )
     kept = {name: getattr(before.course, name) for name in stays}
     own = {"labels": stored.labels, "spilled": stored.spilled, "tears": stored.tears, "left": stored.left}
     state.course = Course(**kept, crossed=state.time, mixed=state.time, **own)
@@ -352,7 +356,7 @@ def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tup
     """
     state = state_of(scene, stored.arrays, len(stored.labels), film.device, holed=True)
     state.ids = stored.ids
-    stays = ("limit", "cap", "speed", "reach", "shown", "punctured", "gas", "rest", "run")
+    stays = ("limit", "cap", "speed", "reach", "shown", "punctured", "gas", "rest", "run", "issued", "spacing")
     kept = {name: getattr(before.course, name) for name in stays}
     own = {"labels": stored.labels, "left": stored.left}
     state.course = Course(**kept, crossed=state.time, mixed=state.time, holed=True, **own)
@@ -384,17 +388,26 @@ def _relax(scene: Scene, film: Film, state: State) -> None:
     geometry.update()
     if film.numerics.redistribution == 0.0 or scene.shape.even:
         return
-    redistribution = Redistribution(film, state, lists, geometry)
-    for done in range(MOST_RELAXATION_STEPS):
-        if done >= RELAXATION_STEPS and redistribution.spread.numpy()[0, 0] < EVEN_ENOUGH:
-            break
-        redistribution.even_out()
+
+    def put_back() -> None:
         points = e.x.numpy()
         points[: e.count] = scene.shape.project(points[: e.count] + origin) - origin
         e.x.assign(points)
+
+    relax(Redistribution(film, state, lists, geometry), put_back)
+
+
+def relax(redistribution: Redistribution, put_back: Callable[[], None]) -> None:
+    """Even out E along a surface onto which `put_back` puts them after each shift."""
+    lists = redistribution.lists
+    for done in range(MOST_RELAXATION_STEPS):
+        if done >= RELAXATION_STEPS and redistribution.spread.numpy()[:, 0].max() < EVEN_ENOUGH:
+            break
+        redistribution.even_out()
+        put_back()
         lists.rebuild_e()
-        geometry.update()
-    if state.l is not None:
+        redistribution.geometry.update()
+    if redistribution.state.l is not None:
         lists.rebuild_l()
 
 

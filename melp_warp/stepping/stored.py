@@ -14,7 +14,7 @@ from melp_warp.features import Features
 from melp_warp.scene import MOST_STEPS_AGAIN, Scene
 from melp_warp.stages.film import count_parts
 from melp_warp.stages.state import GAS_SLOTS, Course, Declared
-from melp_warp.stepping.ledger import STORE, TERMS, Ledger
+from melp_warp.stepping.ledger import CAUSES, STORE, TERMS, Ledger
 
 FARTHEST = 1e6
 """Largest coordinate (m) and speed (m/s)."""
@@ -72,7 +72,7 @@ def check_stored(
         _check_values(name, array)
     for name in ("ids.e", "ids.l", "ids.d"):
         if name in stored:
-            _check_ids(name, stored[name])
+            _check_ids(name, stored[name], course.issued[name[-1]])
     for name in ("f.after", "f.before"):
         if name in stored:
             _check_index(name, stored[name], sizes["f"], low=-1)
@@ -104,7 +104,7 @@ def check_course(stored: object, scene: Scene) -> Course:
     right = isinstance(stored, dict) and set(stored) == names
     require(right, "course", sorted(stored)[:20] if isinstance(stored, dict) else stored, "what a run remembers")
     others = ("builds", "labels", "unborn", "shown", "fresh", "pending", "ledger", "punctured", "holed", "tears")
-    others += ("left",)
+    others += ("left", "issued", "areas")
     numbers = {k: v for k, v in stored.items() if k not in others}
     for name, value in numbers.items():
         none = name == "layer_speed" and value is None
@@ -125,6 +125,15 @@ def check_course(stored: object, scene: Scene) -> Course:
         _check_whole(name, stored[name])
     built = len(stored["builds"]) == 2 and (min(stored["builds"]) >= 1 or not stored["labels"])
     require(built, "builds", stored["builds"], "two numbers above 0")
+    issued = stored["issued"]
+    right = isinstance(issued, dict) and set(issued) == {"e", "l", "d"}
+    require(right, "issued", issued, "numbers given to E, L and drops")
+    _check_whole("issued", list(issued.values()))
+    areas = stored["areas"]
+    require(isinstance(areas, list), "areas", areas, "a list of areas, m^2")
+    for area in areas:
+        _check_number("areas", area)
+    require(stored["spacing"] > 0.0, "spacing", stored["spacing"], "above 0 m")
     shown = stored["shown"]
     require(isinstance(shown, list) and len(shown) == 3, "shown", shown, "three numbers")
     for value in shown:
@@ -157,6 +166,7 @@ def _check_ledger(stored: object, features: Features) -> Ledger | None:
         *(["owed"] if stored["owed"] is not None else []),
     ):
         _check_signed(name, stored[name])
+    require(stored["cause"] in CAUSES, "cause", stored["cause"], f"one of {', '.join(CAUSES)}")
     begun = stored["momentum"] != []
     require(not begun or stored["liquid"] > 0.0, "liquid", stored["liquid"], "above 0 kg")
     for name in ("pushed", "impulse", *(["momentum"] if begun else [])):
@@ -278,9 +288,9 @@ def _check_labels(labels: list[int], unborn: list[int], cluster: Cluster | None,
     require(other, "unborn", unborn[:20], "bubbles of this scene that are still to come, each once")
 
 
-def _check_ids(name: str, ids: np.ndarray) -> None:
-    good = len(ids) == 0 or (int(ids.min()) >= 0 and len(np.unique(ids)) == len(ids))
-    require(good, name, "others", "whole numbers from 0, each once")
+def _check_ids(name: str, ids: np.ndarray, issued: int) -> None:
+    good = len(ids) == 0 or (int(ids.min()) >= 0 and int(ids.max()) < issued and len(np.unique(ids)) == len(ids))
+    require(good, name, "others", f"whole numbers from 0 to below {issued}, as many as were given, each once")
 
 
 def _check_values(name: str, array: np.ndarray) -> None:

@@ -31,6 +31,7 @@ class Stored:
         spilled: liquid that left with films that popped, kg.
         amounts: what particles hold that adds up.
         tears, left: films that are torn, and what left of what is declared, see `Course`.
+        issued: how many numbers were given to particles of each set so far, see `Course`.
     """
 
     arrays: dict[str, np.ndarray]
@@ -40,6 +41,7 @@ class Stored:
     amounts: tuple[str, ...] = AMOUNTS
     tears: list[list[int]] = field(default_factory=list)
     left: dict[str, float] = field(default_factory=dict)
+    issued: dict[str, int] = field(default_factory=dict)
 
     @classmethod
     def of(cls, state: State) -> Stored:
@@ -49,8 +51,8 @@ class Stored:
         if "memory.area" in stored:
             arrays["memory.area"] = stored["memory.area"]  # found from the L at the start
         course, amounts = state.course, (*AMOUNTS, *state.carried)
-        tears = [list(one) for one in course.tears]
-        return cls(arrays, dict(state.ids), list(course.labels), course.spilled, amounts, tears, dict(course.left))
+        own = {"tears": [list(one) for one in course.tears], "left": dict(course.left), "issued": dict(course.issued)}
+        return cls(arrays, dict(state.ids), list(course.labels), course.spilled, amounts, **own)
 
     @property
     def kinds(self) -> str:
@@ -71,6 +73,12 @@ class Stored:
         """[n] of which of them none has it."""
         taken = self.arrays.get(self.flag)
         return np.ones(len(self.arrays[f"{self.carriers}.mass"]), dtype=bool) if taken is None else taken == 0
+
+    def issue(self, kind: str, count: int) -> np.ndarray:
+        """[count] numbers for new particles of a set, which none has had before."""
+        first = self.issued[kind]
+        self.issued[kind] += count
+        return np.arange(first, first + count)
 
     def leave(self, kind: str, chosen: np.ndarray) -> float:
         """Count what the particles `chosen` of a set hold among what left; their liquid, kg."""
@@ -245,8 +253,7 @@ def add_region(
                 new = np.zeros((count, *array.shape[1:]), dtype=array.dtype)
                 new[...] = k if name.endswith(".region") else particles[kind].get(name[2:], new)
                 stored.arrays[name] = np.concatenate([array, new])
-        first = stored.ids[kind].max(initial=-1) + 1
-        stored.ids[kind] = np.concatenate([stored.ids[kind], np.arange(first, first + count)])
+        stored.ids[kind] = np.concatenate([stored.ids[kind], stored.issue(kind, count)])
     gas = np.zeros((1, len(GAS_SLOTS)))
     gas[0, GAUGE] = gauge
     stored.arrays["gas"] = np.concatenate([stored.arrays["gas"], gas])

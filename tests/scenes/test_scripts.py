@@ -65,7 +65,7 @@ def other(key, value):
     if key.choices:
         return next(choice for choice in key.choices if choice != value)
     if value is None:
-        return 7 if key.whole else 1e-3
+        return 7 if key.whole else max(key.low, 1e-3)
     if key.whole:
         return value + 1 if value < key.high else value - 1
     near = value * 0.9 if value else min(key.high, 1e-7)
