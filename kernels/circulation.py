@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from melp_warp.kernels.native import Blocks, gather_amount, sum_row
+from melp_warp.kernels.native import Blocks, gather_amount, sum_shares
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_parts
 from melp_warp.kernels.sph import kernel_w, tangential
@@ -13,8 +13,7 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def give_amount_l(
     amount: wp.array(dtype=float),
-    weight: wp.array(dtype=float),
-    rows: Neighbors,
+    share: wp.array(dtype=float),
     place: wp.array(dtype=wp.int32),
     # outputs
     given: wp.array(dtype=float),
@@ -23,14 +22,12 @@ def give_amount_l(
 
     Args:
         amount: [n_l] carried by each L.
-        weight: [pairs] W(E, L), 1/m^2.
-        rows: L:E neighbours.
+        share: [n_l] 1/alpha, m^2.
         place: [n_l] place of each L among those sorted by their homes.
         given: [n_l, rounded up to eights] by place.
     """
-    i = rows.first + wp.tid()
-    total = sum_row(i, weight, rows)
-    given[place[i]] = wp.where(total > 0.0, amount[i] / total, 0.0)
+    i = wp.tid()
+    given[place[i]] = amount[i] * share[i]
 
 
 @wp.kernel
@@ -355,39 +352,50 @@ def make_circulation_e(
 
 
 @wp.kernel
-def take_circulation_l(
+def spread_made_e(
     made: wp.array(dtype=float),
     claim: wp.array(dtype=float),
+    # outputs
+    dense: wp.array(dtype=float),
+):
+    """What was made at each E, on a unit of the area that the L claim there; 0 where no L is.
+
+    Args:
+        made: [n_e].
+        claim: [n_e] area that the L take up at their thickness, m^2.
+        dense: [n] made/claim.
+    """
+    i = wp.tid()
+    dense[i] = wp.where(claim[i] > 0.0, made[i] / claim[i], 0.0)
+
+
+@wp.kernel
+def take_made_l(
+    dense: wp.array(dtype=float),
     mass: wp.array(dtype=float),
     eta: wp.array(dtype=float),
+    share: wp.array(dtype=float),
     density: float,
     weight: wp.array(dtype=float),
     rows: Neighbors,
     # outputs
-    circulation: wp.array(dtype=float),
+    amount: wp.array(dtype=float),
 ):
-    """Give L the circulation made in a step, each by the area that it claims: their sum is that over the E.
+    """Give L what was made in a step, each by the area that it claims: their sum is that over the E.
 
     Args:
-        made: [n_e] from `make_circulation_e`, m^2/s.
-        claim: [n_e] area that the L take up at their thickness, m^2.
+        dense: [n] from `spread_made_e`.
         mass: [n_l] kg.
         eta: [n_l] m.
+        share: [n_l] 1/alpha, m^2.
         density: kg/m^3.
         weight: [pairs] W(E, L), 0 for boundary particles, 1/m^2.
         rows: L:E neighbours.
-        circulation: [n_l] m^2/s.
+        amount: [n_l] what they carry of it.
     """
     i = rows.first + wp.tid()
-    total = float(0.0)
-    share = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        if j < made.shape[0] and claim[j] > 0.0:
-            total += weight[k]
-            share += weight[k] * made[j] / claim[j]
-    if total > 0.0:
-        circulation[i] = circulation[i] + mass[i] / (density * eta[i]) * share / total
+    area = mass[i] / (density * eta[i])
+    amount[i] = amount[i] + area * share[i] * sum_shares(i, dense, weight, rows)
 
 
 @wp.kernel

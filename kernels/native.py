@@ -132,6 +132,50 @@ def sum_row(i: int, pair: wp.array(dtype=float), rows: Neighbors) -> float:
 
 @wp.func_native(f"""{ROW}
     const float* pairs = pair.data;
+    float total = 0.0f;
+    {{{LOOP}
+        total += index[k] < limit ? pairs[k] : 0.0f;
+    }}
+    return total;
+""")
+def sum_within(i: int, pair: wp.array(dtype=float), rows: Neighbors, limit: int) -> float:
+    """sum_j pair_ij over the neighbours j < limit."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* pairs = pair.data;
+    const float* values = x.data;
+    float total = 0.0f;
+    {{{LOOP}
+        total += pairs[k] * values[index[k]];
+    }}
+    return total;
+""")
+def sum_shares(i: int, x: wp.array(dtype=float), pair: wp.array(dtype=float), rows: Neighbors) -> float:
+    """sum_j pair_ij x_j."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* pairs = pair.data;
+    const float* values = x.data;
+    const float* times = by.data;
+    float total = 0.0f;
+    {{{LOOP}
+        total += pairs[k] * times[index[k]] * values[index[k]];
+    }}
+    return total;
+""")
+def sum_products_of(
+    i: int, x: wp.array(dtype=float), by: wp.array(dtype=float), pair: wp.array(dtype=float), rows: Neighbors
+) -> float:
+    """sum_j pair_ij by_j x_j."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* pairs = pair.data;
     const float* tops = top.data;
     const float* bottoms = bottom.data;
     float total = 0.0f;

@@ -32,6 +32,7 @@ def normalize_l(
     weight: wp.array(dtype=float),
     given: wp.array(dtype=float),
     lost: wp.array(dtype=int),
+    share: wp.array(dtype=float),
 ):
     """What each L gives per weight W(E, L): its quantities over alpha_L = sum_E W of (6), E alone.
 
@@ -56,6 +57,7 @@ def normalize_l(
         given: for the L at each place, packed by `rows.write_pack`, its position and over alpha: momentum m (u - C o)
             with o the weighted mean of the E as seen from the L, its slope m C, and mass, surfactant, area m/(rho eta).
         lost: [n_l] 1 for an L that no E is near to.
+        share: [n_l] 1/alpha, m^2, 0 for those; null where nobody asks for it.
     """
     i = rows.first + wp.tid()
     p = x_l[i]
@@ -70,6 +72,8 @@ def normalize_l(
     amounts = wp.vec3(m, surfactant_l[i] * inverse, m / (density * eta_l[i]))
     write_pack(place[i], p, m * (u_l[i] - c * (inverse * mean)), amounts, m * c, given)
     lost[i] = wp.where(total > 0.0, 0, 1)
+    if share:
+        share[i] = inverse
 
 
 @wp.kernel

@@ -7,7 +7,6 @@ import warp as wp
 
 from melp_warp.device.launch import copy
 from melp_warp.kernels import carried as kq
-from melp_warp.kernels import circulation as kc
 from melp_warp.stages.film import Film
 from melp_warp.stages.state import State
 from melp_warp.stages.transfer import Transfer
@@ -29,7 +28,6 @@ class Carriage:
         self.of_e = {one.name: film.zeros(film.n_e) for one in state.declared}
         self.u, self.mass, self.eta = film.zeros(film.n_l, wp.vec3), film.zeros(film.n_l), film.zeros(film.n_l)
         self._mass_e = film.zeros(film.n_e)
-        self._given = film.zeros(8 * -(-film.n_l // 8))
 
     def gather(self, name: str) -> wp.array:
         """`of_e` of a quantity; follows `Transfer.normalize`, whose weights it takes."""
@@ -40,27 +38,12 @@ class Carriage:
         return self._gather(self.state.l.mass, self._mass_e)
 
     def _gather(self, held: wp.array, found: wp.array) -> wp.array:
-        film, lists = self.film, self.transfer.lists
-        film.launch_l(kc.give_amount_l, [held, self.transfer.weight, lists.le.rows, lists.el.place], [self._given])
-        e = self.state.e
-        film.launch_e(
-            kc.gather_amount_e,
-            [e.x, e.region, lists.wide.rows, lists.el.blocks, film.r, self.transfer.given, self._given],
-            [found],
-        )
+        self.transfer.gather_amount(held, found)
         return found
 
     def give(self, name: str, change: wp.array) -> None:
         """Give L what E gain of a quantity, `change` [n_e], each by the area that it claims."""
-        lag, transfer = self.state.l, self.transfer
-        self.film.launch_l(
-            kc.take_circulation_l,
-            [
-                *(change, transfer.claim, lag.mass, lag.eta, self.film.material.density),
-                *(transfer.weight, transfer.lists.le.rows),
-            ],
-            [self.state.carried[name]],
-        )
+        self.transfer.give_made(change, self.state.carried[name])
 
     def spare(self) -> None:
         """Copy what a second pass writes over."""

@@ -6,10 +6,12 @@ import numpy as np
 import warp as wp
 
 from melp_warp.device.launch import launch
-from melp_warp.device.linear import ConjugateGradient, LinearOperator
+from melp_warp.device.linear import LinearOperator
+from melp_warp.device.multilevel import MultilevelGradient
 from melp_warp.kernels import circulation as kc
 from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
+from melp_warp.stages.levels import levels_of
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.rim import Rim
 from melp_warp.stages.state import State
@@ -39,7 +41,7 @@ class Circulation:
     """
 
     needs = ("lists", "geometry", "transfer", "rim")
-    kernels = ("circulation", "linear")
+    kernels = ("circulation", "levels", "linear")
 
     def __init__(
         self,
@@ -54,26 +56,16 @@ class Circulation:
         self.transfer, self.rim = transfer, rim
         n = film.n_e
         self.carried, self.blurred, self._deficit, self._made = (film.zeros(n) for _ in range(4))
-        self._given = film.zeros(8 * -(-film.n_l // 8))
         self._mean = film.parts(wp.vec2) if rim is None else None
         operator = LinearOperator(n, lists.ee.rows, film.device, pair=geometry.weight)
-        self.solver = ConjugateGradient(
-            operator, film.total, wp.float32, RESTORE_TOLERANCE, film.numerics.max_iterations
+        self.solver = MultilevelGradient(
+            operator, film.total, RESTORE_TOLERANCE, film.numerics.max_iterations, levels_of(film, lists)
         )
         self.psi = self.solver.x
 
     def gather(self) -> None:
         """Find `carried`. Follows `Transfer.gather`, whose weights and packs it takes."""
-        film, lag, lists = self.film, self.state.l, self.lists
-        film.launch_l(
-            kc.give_amount_l, [lag.circulation, self.transfer.weight, lists.le.rows, lists.el.place], [self._given]
-        )
-        e = self.state.e
-        film.launch_e(
-            kc.gather_amount_e,
-            [e.x, e.region, lists.wide.rows, lists.el.blocks, film.r, self.transfer.given, self._given],
-            [self.blurred],
-        )
+        self.transfer.gather_amount(self.state.l.circulation, self.blurred)
         self._sharpen(self.blurred, self.carried)
 
     def _sharpen(self, blurred: wp.array, amount: wp.array) -> None:
@@ -110,7 +102,7 @@ class Circulation:
 
     def take(self, flow: Tangential, dt: wp.array) -> None:
         """Let L take the circulation that the forces along the film make in a step of dt [1]; follows their solve."""
-        film, e, lag, geometry = self.film, self.state.e, self.state.l, self.geometry
+        film, e, geometry = self.film, self.state.e, self.geometry
         flow.forces.note_braking(flow.theta, dt, flow.push)
         if flow.push is not None and self.rim is not None:
             self.rim.mirror(flow.push)
@@ -132,14 +124,7 @@ class Circulation:
             [self.blurred],
         )
         self._sharpen(self.blurred, self._made)
-        film.launch_l(
-            kc.take_circulation_l,
-            [
-                *(self._made, self.transfer.claim, lag.mass, lag.eta, film.material.density),
-                *(self.transfer.weight, self.lists.le.rows),
-            ],
-            [lag.circulation],
-        )
+        self.transfer.give_made(self._made, self.state.l.circulation)
 
     def diagnostics(self) -> dict[str, float]:
         """Circulation of all L, m^2/s, and enstrophy sum a omega^2/2 of what the E see of it, m^2/s^2 (reads back)."""

@@ -193,6 +193,7 @@ class NeighborLists:
     enough is noted on the device, and a frame in which it was not is done again under watch.
 
     Attributes:
+        levels: coarser sets of the E, kept up with the lists once `stages.levels` has made them; None before.
         travel: [6] largest distances moved, m: E since `ee` was built; E and L together since the other lists were;
             E in the last step; L in the last step; E and L in any step since `forget_leaps`.
         watched: whether the host looks at the device before it decides, which a GPU must be waited for.
@@ -220,6 +221,7 @@ class NeighborLists:
         if fresh:
             state.course.builds = [1, 1]
         self.travel, self.seen = state.memory.travel, state.seen
+        self.levels = None
         self._part = film.parts()
         self._late = film.zeros(1, wp.int32)
         self.watched = not film.device.is_cuda
@@ -305,6 +307,8 @@ class NeighborLists:
         if self.wide is not None:
             self.wide.build(self._grid, x, x)
             self._part_wide()
+        if self.levels is not None:
+            self.levels.build()
 
     def _build_l(self, x_l: wp.array) -> None:
         """List L as remembered; strays among `x_l`, which are where those were, are put back."""

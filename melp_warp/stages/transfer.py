@@ -7,9 +7,10 @@ import math
 import numpy as np
 import warp as wp
 
-from melp_warp.device.launch import clear, launch
+from melp_warp.device.launch import Shared, clear, launch
 from melp_warp.device.scalars import Setting
 from melp_warp.errors import SimulationError
+from melp_warp.kernels import circulation as kc
 from melp_warp.kernels import surfactant as ks
 from melp_warp.kernels import transfer as kt
 from melp_warp.kernels.native import vec16
@@ -34,6 +35,8 @@ class Transfer:
         weight: [pairs] W(E, L), 1/m^2.
         given: what the L give by the place where they are sorted to, see `normalize_l`.
         lost: [n_l] 1 where no E is near.
+        share: [n_l] what an L gives of one of a quantity per weight W, m^2; None where L carry nothing besides liquid
+            and surfactant.
     """
 
     needs = ("lists", "geometry")
@@ -45,6 +48,10 @@ class Transfer:
         self.given = film.zeros(144 * math.ceil(film.n_l / 8))
         self._pack = film.zeros(film.total, vec16)
         self.lost = film.zeros(film.n_l, wp.int32)
+        self.share = None
+        if film.features.circulation or film.features.carried:
+            self.share, self._given_amount = film.zeros(film.n_l), film.zeros(8 * -(-film.n_l // 8))
+            self._dense = film.zeros(film.total)
         self._thickest = film.parts()
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
@@ -115,7 +122,27 @@ class Transfer:
                 *(self.state.e.x, self.lists.le.rows, film.r, film.n_e, film.material.density),
                 *(film.numerics.affinity, self.lists.el.place),
             ],
-            [self.weight, self.given, self.lost],
+            [self.weight, self.given, self.lost, self.share],
+        )
+
+    def gather_amount(self, held: wp.array, found: wp.array) -> None:
+        """Gather what L carry besides, `held` [n_l], by the same weights: `found` [n_e]. Follows `normalize`."""
+        film, e, lists = self.film, self.state.e, self.lists
+        film.launch_l(kc.give_amount_l, [held, self.share, lists.el.place], [Shared(self._given_amount)])
+        film.launch_e(
+            kc.gather_amount_e,
+            [e.x, e.region, lists.wide.rows, lists.el.blocks, film.r, self.given, self._given_amount],
+            [found],
+        )
+
+    def give_made(self, made: wp.array, held: wp.array) -> None:
+        """Give L what was made at the E, `made` [n_e], each by the area that it claims."""
+        film, lag = self.film, self.state.l
+        film.launch_e(kc.spread_made_e, [made, self.claim], [self._dense])
+        film.launch_l(
+            kc.take_made_l,
+            [self._dense, lag.mass, lag.eta, self.share, film.material.density, self.weight, self.lists.le.rows],
+            [held],
         )
 
     def e_to_l(self, widening: wp.array, before: wp.array | None, theta: wp.array) -> None:

@@ -54,6 +54,7 @@ SCENES = {
     "closed": (Sphere(R), 300, 4, {"velocity": swirl, "surroundings": AIR}, {}, 5e-4),
     "midpoint": (Sphere(R), 300, 4, {"velocity": swirl}, {"scheme": "trapezoid", "l_order": 2, "flip": 0.5}, 5e-4),
     "open": (Disc(R), 300, 4, {"velocity": whirl, "material": Material(viscosity=1e-5)}, {"solver": "jacobi"}, 3e-4),
+    "circulation": (Sphere(R), 300, 4, {"velocity": swirl}, {"carrier": "circulation"}, 5e-4),
     "without L": (StarShaped(R, oval), 400, 0, {"material": Material(surfactant=0.0)}, {}, 5e-4),
     "one layer, open": (
         Disc(R),
