@@ -211,7 +211,7 @@ class NeighborLists:
         self.reach = film.r + self.skin
         self.mirror_reach = 2.0 * film.spacing
         self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device)
-        self.wide = self.le = self.el = self.be = self.eo = None
+        self.wide = self.le = self.el = self.be = self.eo = self.levels = None
         fresh = state.fresh
         if fresh:
             self._remember_e()
@@ -221,7 +221,6 @@ class NeighborLists:
         if fresh:
             state.course.builds = [1, 1]
         self.travel, self.seen = state.memory.travel, state.seen
-        self.levels = None
         self._part = film.parts()
         self._late = film.zeros(1, wp.int32)
         self.watched = not film.device.is_cuda
