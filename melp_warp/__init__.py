@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from melp_warp.simulation import Simulation
     from melp_warp.stage import Stage
     from melp_warp.stages.air import AirModel
-    from melp_warp.usd.cache import CacheWriter, list_frames, read_frame
+    from melp_warp.usd.cache import CacheWriter
+    from melp_warp.usd.reading import read_frame
+    from melp_warp.usd.schema import list_frames
 
 _HOMES = {
     "carried": ("Carried",),

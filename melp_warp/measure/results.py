@@ -265,7 +265,7 @@ def measure_cache(
         InputError: there is no such cache, frame or set, or see `measure`.
     """
     from melp_warp.usd.apart import read_frame, read_root
-    from melp_warp.usd.cache import list_frames
+    from melp_warp.usd.schema import list_frames
 
     frames = list_frames(folder)
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")

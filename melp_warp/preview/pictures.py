@@ -89,7 +89,7 @@ class Cache:
 
     def __init__(self, folder: Path, particles: bool = False, show: str | None = None):
         from melp_warp.usd.apart import read_root
-        from melp_warp.usd.cache import FREE_RIMS, WHOLE, list_frames
+        from melp_warp.usd.schema import FREE_RIMS, WHOLE, list_frames
 
         self.folder, self.frames = Path(folder), list_frames(folder)
         require(bool(self.frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
@@ -159,7 +159,7 @@ class Cache:
     def _liquid(self, frame: int) -> tuple[ParticleFrame | None, ParticleFrame | None]:
         """Free rims and drops of a frame."""
         from melp_warp.usd.apart import read_frame
-        from melp_warp.usd.cache import DROPS, FREE_RIMS
+        from melp_warp.usd.schema import DROPS, FREE_RIMS
 
         return (
             tuple(read_frame(self.folder, frame, prim) for prim in (FREE_RIMS, DROPS)) if self._bursts else (None, None)

@@ -40,7 +40,7 @@ def read_grain(folder: Path) -> list[tuple[int, float]]:
     """
     from melp_warp.measure.grain import grain
     from melp_warp.usd.apart import read_frame, read_root
-    from melp_warp.usd.cache import list_frames
+    from melp_warp.usd.schema import list_frames
 
     frames = list_frames(folder)
     if not frames or not read_root(folder)["with_l"]:

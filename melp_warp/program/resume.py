@@ -15,7 +15,7 @@ from melp_warp.errors import InputError, require
 from melp_warp.files import is_systems, replacing
 from melp_warp.parameters import Value
 from melp_warp.program.blender import SCRIPT, TABLES
-from melp_warp.usd.cache import FRAMES, LOOK, MANIFEST, ROOT, STAGE, frame_path, list_frames
+from melp_warp.usd.schema import FRAMES, LOOK, MANIFEST, ROOT, STAGE, frame_path, list_frames
 
 LOG = "run.jsonl"
 CHECKPOINT = "checkpoint.npz"

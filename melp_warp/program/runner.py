@@ -176,7 +176,7 @@ def run(plan: Plan) -> int:
 
 
 def _check_numbers(plan: Plan) -> None:
-    from melp_warp.usd.cache import MAX_FRAME
+    from melp_warp.usd.schema import MAX_FRAME
 
     most = MAX_FRAME - plan.scene.frames
     require(0 <= plan.first <= most, "--start", plan.first, f"a whole number from 0 to {most}")
@@ -283,7 +283,7 @@ def _unblocked(plan: Plan) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        from melp_warp.usd.cache import list_frames
+        from melp_warp.usd.schema import list_frames
 
         if not plan.goes_on and not list_frames(plan.out):
             with contextlib.suppress(OSError):
@@ -469,7 +469,7 @@ def _plain(value: object) -> object:
 
 def _kept(folder: Path) -> str:
     """What is left of a run that did not end, in words."""
-    from melp_warp.usd.cache import list_frames
+    from melp_warp.usd.schema import list_frames
 
     frames = list_frames(folder)
     if not frames:
@@ -483,7 +483,7 @@ def _noticed(simulation: Simulation | None) -> str:
 
 
 def _say_finished(folder: Path, images: list[Path], notices: Notices, empty_from: int | None) -> None:
-    from melp_warp.usd.cache import ROOT
+    from melp_warp.usd.schema import ROOT
 
     print(f"{_kept(folder)}: {folder / ROOT}")
     if empty_from is not None:
@@ -530,7 +530,8 @@ def mesh_cache(folder: Path, triangles: int | None = None, whole: bool = False) 
     _check_triangles(triangles)
     _start_warp()
     from melp_warp.usd.apart import read_frame, read_root, try_frame
-    from melp_warp.usd.cache import FREE_RIMS, add_meshes, list_frames
+    from melp_warp.usd.meshes import add_meshes
+    from melp_warp.usd.schema import FREE_RIMS, list_frames
 
     frames = list_frames(folder)
     require(bool(frames), "DIR", str(folder), "a folder that a run wrote, with frames in it")
@@ -579,7 +580,7 @@ def _renew_sums(folder: Path, sums: Mapping[str, str]) -> None:
 def _write_stage(folder: Path) -> None:
     """A layer with a camera and lights for the run."""
     from melp_warp.preview.pictures import Cache
-    from melp_warp.usd.cache import write_stage
+    from melp_warp.usd.forms import write_stage
 
     camera = Cache(folder).camera()
     write_stage(folder, camera.eye, camera.target, camera.up, camera.fov)

@@ -158,7 +158,7 @@ class Moment:
 
     @cached_property
     def _surfaces(self) -> tuple[dict[str, MeshFrame | WholeFrame], list[str]]:
-        from melp_warp.usd.cache import frame_kind
+        from melp_warp.usd.schema import frame_kind
 
         plan = self._plan
         if not plan.mesh:
@@ -196,7 +196,7 @@ def all_regions(plan: Plan) -> range:
 
 def mesh_prims(regions: Sequence[int], whole: bool) -> list[str]:
     """Names of the meshes of these regions from /World."""
-    from melp_warp.usd.cache import WHOLE, surface_prim
+    from melp_warp.usd.schema import WHOLE, surface_prim
 
     return [WHOLE] if whole else [surface_prim(region) for region in regions]
 
@@ -213,7 +213,7 @@ def make_surfaces(
     from melp_warp.mesh.outline import mesh_torn
     from melp_warp.mesh.shade import shade
     from melp_warp.mesh.whole import make_whole
-    from melp_warp.usd.cache import WHOLE, surface_prim
+    from melp_warp.usd.schema import WHOLE, surface_prim
 
     if whole:
         mesh, problems = make_whole(e, lagrangian, rims, triangles)

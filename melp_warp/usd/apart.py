@@ -157,7 +157,7 @@ def read_mesh(directory: str | os.PathLike, frame: int, region: int = 0) -> Mesh
     Raises:
         InputError: as `usd.read_mesh`, or USD hangs or breaks down on the file.
     """
-    from melp_warp.usd.cache import surface_prim
+    from melp_warp.usd.schema import surface_prim
 
     return _read(directory, frame, surface_prim(region))
 
@@ -168,7 +168,7 @@ def read_whole(directory: str | os.PathLike, frame: int) -> WholeFrame:
     Raises:
         InputError: as `usd.read_whole`, or USD hangs or breaks down on the file.
     """
-    from melp_warp.usd.cache import WHOLE
+    from melp_warp.usd.schema import WHOLE
 
     return _read(directory, frame, WHOLE)
 
@@ -179,13 +179,13 @@ def try_frame(directory: str | os.PathLike, frame: int) -> None:
     Raises:
         InputError: the file is damaged, or USD hangs or breaks down on it.
     """
-    from melp_warp.usd.cache import frame_path
+    from melp_warp.usd.schema import frame_path
 
     _ask_once({"call": "try", "directory": str(directory), "frame": frame}, frame_path(directory, frame))
 
 
 def _read(directory: str | os.PathLike, frame: int, prim: str) -> ParticleFrame | MeshFrame | WholeFrame:
-    from melp_warp.usd.cache import frame_path
+    from melp_warp.usd.schema import frame_path
 
     question = {"call": "frame", "directory": str(directory), "frame": frame, "prim": prim}
     answer, data = _ask_once(question, frame_path(directory, frame))
@@ -209,7 +209,7 @@ def read_root(directory: str | os.PathLike) -> dict:
     Raises:
         InputError: as `usd.read_metadata`, or USD hangs or breaks down on the file.
     """
-    from melp_warp.usd.cache import ROOT
+    from melp_warp.usd.schema import ROOT
 
     return _ask_once({"call": "root", "directory": str(directory)}, Path(directory) / ROOT)[0]["root"]
 
@@ -243,8 +243,7 @@ def serve() -> None:
             pipe.write(part)
         pipe.flush()
 
-    from melp_warp.usd import cache as usd  # noqa: F401
-    from melp_warp.usd import check  # noqa: F401
+    from melp_warp.usd import check, reading  # noqa: F401
 
     say({"ready": True})
     for line in sys.stdin.buffer:
@@ -271,13 +270,15 @@ def _limit_memory(size: int) -> None:
 
 
 def _answer_frame(question: dict, say) -> None:
-    from melp_warp.usd import cache as usd
+    from melp_warp.usd.frame_checks import check_sizes
+    from melp_warp.usd.reading import read_prim
+    from melp_warp.usd.schema import frame_path
 
-    path = usd.frame_path(question["directory"], question["frame"])
+    path = frame_path(question["directory"], question["frame"])
     if path.is_file():
         _limit_memory(path.stat().st_size)
-    frame, packed = usd.read_prim(question["directory"], question["frame"], question["prim"])
-    usd.check_sizes(path, frame)
+    frame, packed = read_prim(question["directory"], question["frame"], question["prim"])
+    check_sizes(path, frame)
     kind = next(name for name, of in _KINDS.items() if isinstance(frame, of))
     held = [*(getattr(frame, name) for name in _ARRAYS[kind]), *frame.carried.values()]
     arrays = [np.ascontiguousarray(a) for a in held]
@@ -290,19 +291,21 @@ def _answer_frame(question: dict, say) -> None:
 def _answer_try(question: dict, say) -> None:
     import tempfile
 
-    from melp_warp.usd import cache as usd
+    from melp_warp.usd.layers import open_layer
+    from melp_warp.usd.schema import frame_path
 
-    path = usd.frame_path(question["directory"], question["frame"])
+    path = frame_path(question["directory"], question["frame"])
     if path.is_file():
         _limit_memory(path.stat().st_size)
-    layer = usd.open_layer(path)
+    layer = open_layer(path)
     with tempfile.TemporaryDirectory() as folder:
         layer.Export(str(Path(folder) / path.name))
     say({"done": True})
 
 
 def _answer_root(question: dict, say) -> None:
-    from melp_warp.usd.cache import floors_of, holds_l, read_metadata, read_rims
+    from melp_warp.usd.layers import read_rims
+    from melp_warp.usd.reading import floors_of, holds_l, read_metadata
 
     metadata = read_metadata(question["directory"])
     units = metadata.get("carried")

@@ -13,7 +13,10 @@ from melp_warp.errors import InputError
 from melp_warp.files import digest
 from melp_warp.frame import WholeFrame
 from melp_warp.optics import display_color
-from melp_warp.usd.cache import (
+from melp_warp.usd.layers import open_layer, origin_of, rims_of
+from melp_warp.usd.packing import shown_thickness
+from melp_warp.usd.reading import read_sample, refers_to
+from melp_warp.usd.schema import (
     CLIP_TEMPLATE,
     FILM_SETS,
     FRAMES,
@@ -36,15 +39,9 @@ from melp_warp.usd.cache import (
     is_mesh,
     layout_of,
     list_frames,
-    open_layer,
-    origin_of,
     prims_of,
-    read_sample,
-    refers_to,
-    rims_of,
     with_rows,
 )
-from melp_warp.usd.packing import shown_thickness
 
 LOG = "run.jsonl"
 READABLE = (2, SCHEMA_VERSION)

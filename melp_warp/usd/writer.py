@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from melp_warp.program.writers import Moment, all_regions, mesh_prims, rims_of
-from melp_warp.usd.cache import DROPS, FREE_RIMS, CacheWriter, store_floors
+from melp_warp.usd.cache import CacheWriter
+from melp_warp.usd.reading import store_floors
+from melp_warp.usd.schema import DROPS, FREE_RIMS
 
 if TYPE_CHECKING:
     from melp_warp.program.runner import Plan
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class UsdWriter:
-    """Writes a run as USD, see `melp_warp.usd.cache`. A `melp_warp.program.writers.Writer`."""
+    """Writes a run as USD, see `CacheWriter`. A `melp_warp.program.writers.Writer`."""
 
     def open(self, folder: Path, plan: Plan, simulation: Simulation, there: tuple[int, int] | None) -> None:
         """Write manifest and root."""

@@ -11,8 +11,8 @@ import pytest
 from melp_warp import cli
 from melp_warp.optics import color_table, display_color
 from melp_warp.program.blender import SCRIPT, TABLES
-from melp_warp.usd.cache import read_frame, read_mesh
 from melp_warp.usd.packing import shown_thickness
+from melp_warp.usd.reading import read_frame, read_mesh
 
 LOOK = """
 import json, sys

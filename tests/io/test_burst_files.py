@@ -9,8 +9,9 @@ from melp_warp import cli
 from melp_warp.frame import ParticleFrame
 from melp_warp.mesh.outline import mesh_torn, outlines
 from melp_warp.registry import load_scene
-from melp_warp.usd.cache import DROPS, FREE_RIMS, list_frames, read_frame, read_mesh, read_metadata
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.reading import read_frame, read_mesh, read_metadata
+from melp_warp.usd.schema import DROPS, FREE_RIMS, list_frames
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]])
 SMALL = ["--set", "e_count=400", "l_per_e=4", "breakup=5", "--quiet", "--no-budget"]

@@ -6,8 +6,9 @@ from pxr import Sdf, Usd, UsdValidation, Vt
 
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import display_color
-from melp_warp.usd.cache import CacheWriter, frame_path
+from melp_warp.usd.cache import CacheWriter
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.schema import frame_path
 
 COUNT = 30
 FILM = "/World/Film"

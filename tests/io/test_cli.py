@@ -18,8 +18,9 @@ from melp_warp.frame import ParticleFrame
 from melp_warp.preview.pictures import spread
 from melp_warp.program import runner
 from melp_warp.stages.notices import Notices
-from melp_warp.usd.cache import list_frames, read_frame, read_metadata
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.reading import read_frame, read_metadata
+from melp_warp.usd.schema import list_frames
 
 FEW = ["--set", "e_count=60", "l_per_e=2"]
 

@@ -5,18 +5,10 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 
 from melp_warp.frame import MeshFrame, WholeFrame
-from melp_warp.usd.cache import (
-    ATTRIBUTES,
-    MESH_ATTRIBUTES,
-    WHOLE,
-    CacheWriter,
-    attributes_of,
-    flatten,
-    read_frame,
-    read_mesh,
-    read_whole,
-    write_stage,
-)
+from melp_warp.usd.cache import CacheWriter
+from melp_warp.usd.forms import flatten, write_stage
+from melp_warp.usd.reading import read_frame, read_mesh, read_whole
+from melp_warp.usd.schema import ATTRIBUTES, MESH_ATTRIBUTES, WHOLE, attributes_of
 from tests.io.test_usd import make_frame
 
 FIRST = 1001

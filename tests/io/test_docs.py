@@ -26,7 +26,7 @@ import warp as wp
 from melp_warp import cli
 from melp_warp.program import runner
 from melp_warp.registry import load_scene, scene_names
-from melp_warp.usd.cache import list_frames
+from melp_warp.usd.schema import list_frames
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

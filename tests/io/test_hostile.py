@@ -17,7 +17,8 @@ from pxr import Sdf, Vt
 from melp_warp import cli
 from melp_warp.frame import ParticleFrame
 from melp_warp.usd import apart
-from melp_warp.usd.cache import CacheWriter, frame_path
+from melp_warp.usd.cache import CacheWriter
+from melp_warp.usd.schema import frame_path
 
 FRAMES = 2
 

@@ -11,17 +11,10 @@ from melp_warp.noise import Perlin
 from melp_warp.registry import scene_names
 from melp_warp.shapes import Cap, Catenoid, Disc, Ellipsoid, Jittered, Rectangle, Sphere, displaced_sphere
 from melp_warp.study.mesh_validation import SCENES, area_of, liquid_in, liquid_of, problems_of, prove_scene, volume_of
-from melp_warp.usd.cache import (
-    DROPS,
-    FREE_RIMS,
-    CacheWriter,
-    list_frames,
-    read_frame,
-    read_mesh,
-    read_metadata,
-    surface_prim,
-)
+from melp_warp.usd.cache import CacheWriter
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.reading import read_frame, read_mesh, read_metadata
+from melp_warp.usd.schema import DROPS, FREE_RIMS, list_frames, surface_prim
 from tests.foams import cluster
 from tests.helpers import fitted_order
 

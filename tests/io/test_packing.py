@@ -15,8 +15,11 @@ from melp_warp.program.room import Written
 from melp_warp.shapes import Sphere
 from melp_warp.usd import packing
 from melp_warp.usd.apart import read_frame as read_apart
-from melp_warp.usd.cache import PACKED_ATTRIBUTES, CacheWriter, flatten, frame_path, read_frame, with_rows
+from melp_warp.usd.cache import CacheWriter
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.forms import flatten
+from melp_warp.usd.reading import read_frame
+from melp_warp.usd.schema import PACKED_ATTRIBUTES, frame_path, with_rows
 
 EXACT = ("points", "velocities", "ids", "thickness", "region", "black_film")
 METADATA = {"scene": "test", "seed": 7}

@@ -20,8 +20,8 @@ from melp_warp.errors import InputError
 from melp_warp.files import append
 from melp_warp.program import resume, runner
 from melp_warp.simulation import Simulation
-from melp_warp.usd.cache import list_frames
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.schema import list_frames
 
 SPEC = importlib.util.spec_from_file_location("kills", Path(__file__).resolve().parents[2] / "tools" / "kills.py")
 kills = importlib.util.module_from_spec(SPEC)

@@ -18,9 +18,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.frame import ParticleFrame
 from melp_warp.optics import display_color
-from melp_warp.usd import cache as usd
-from melp_warp.usd.cache import ATTRIBUTES, CacheWriter, flatten, list_frames, read_frame, read_metadata, write_look
+from melp_warp.usd import schema as usd
+from melp_warp.usd.cache import CacheWriter
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.forms import flatten, write_look
+from melp_warp.usd.reading import read_frame, read_metadata
+from melp_warp.usd.schema import ATTRIBUTES, list_frames
 
 FPS = 24.0
 METADATA = {"scene": "test", "seed": 7}

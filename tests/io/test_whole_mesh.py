@@ -15,8 +15,10 @@ from melp_warp.registry import load_scene
 from melp_warp.shapes import Disc, Sphere
 from melp_warp.simulation import Simulation
 from melp_warp.study.mesh_validation import SCENES, frame_of, liquid_in, volume_of, whole_areas, whole_liquid
-from melp_warp.usd.cache import WHOLE, CacheWriter, list_frames, read_frame, read_metadata, read_whole
+from melp_warp.usd.cache import CacheWriter
 from melp_warp.usd.check import check_cache, check_whole
+from melp_warp.usd.reading import read_frame, read_metadata, read_whole
+from melp_warp.usd.schema import WHOLE, list_frames
 from tests.foams import Double, cluster
 from tests.helpers import fitted_order
 

@@ -10,8 +10,8 @@ from melp_warp import Carried, InputError, Scene, Simulation, Sphere, cli, load_
 from melp_warp.measure import measure_cache
 from melp_warp.stepping.parts import kernel_files
 from melp_warp.usd import apart
-from melp_warp.usd.cache import read_mesh, read_whole
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.reading import read_mesh, read_whole
 
 TWIN = Carried("twin", "mol/m^2", start=1e-7)
 WARMTH = Carried("warmth", "K", start=300.0, mean=True)

@@ -12,8 +12,8 @@ from melp_warp.shapes import Disc, Jittered, Rectangle, Sphere, displaced_sphere
 from melp_warp.simulation import Simulation
 from melp_warp.study import validation as v
 from melp_warp.study import vortex_validation as vv
-from melp_warp.usd.cache import read_frame
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.reading import read_frame
 from tests.helpers import make_stepper
 
 CARRIED = Numerics(carrier="circulation")

@@ -291,8 +291,11 @@ def build(p):
 def test_a_cache_far_from_the_origin(tmp_path):
     """Points are the film's own, the prims are moved there in float64, the cache is sound, and one file too."""
     from melp_warp import cli
-    from melp_warp.usd.cache import flatten, frame_path, open_layer, origin_of, read_frame
     from melp_warp.usd.check import check_cache
+    from melp_warp.usd.forms import flatten
+    from melp_warp.usd.layers import open_layer, origin_of
+    from melp_warp.usd.reading import read_frame
+    from melp_warp.usd.schema import frame_path
 
     path, out = tmp_path / "far.py", tmp_path / "out"
     path.write_text(FAR_SCENE)

@@ -14,7 +14,7 @@ from melp_warp.quality import QUALITIES, Quality, find_quality
 from melp_warp.registry import load_scene, scene_names
 from melp_warp.simulation import Simulation
 from melp_warp.stepping.sampling import make_film
-from melp_warp.usd.cache import read_metadata
+from melp_warp.usd.reading import read_metadata
 
 
 @pytest.fixture(autouse=True)

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from melp_warp import cli
-from melp_warp.usd.cache import ATTRIBUTES, list_frames, read_frame
 from melp_warp.usd.check import check_cache
+from melp_warp.usd.reading import read_frame
+from melp_warp.usd.schema import ATTRIBUTES, list_frames
 
 SMALL = {
     "cluster": ["e_count=2400", "l_per_e=1"],
