@@ -27,6 +27,7 @@ import warp as wp
 wp.config.quiet = True
 
 from melp_warp.registry import load_scene  # noqa: E402
+from melp_warp.scene import Scene  # noqa: E402
 from melp_warp.study import validation as v  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -82,7 +83,7 @@ def force_of(r: dict) -> str:
     return r.get("gradient", "difference")
 
 
-def flat_film() -> v.Scene:
+def flat_film() -> Scene:
     """The flat scene that conservation is watched on."""
     script = load_scene("equilibrium")
     return script.build(script.parameters.values({"e_count": 300, "l_per_e": 8}))

@@ -9,6 +9,7 @@ from melp_warp.cli import main
 from melp_warp.cluster import Bubble, Cluster, Pop
 from melp_warp.features import Features
 from melp_warp.material import Material, Surroundings
+from melp_warp.numerics import Numerics
 from melp_warp.registry import load_scene, scene_names
 from melp_warp.scene import Scene
 from melp_warp.shapes import Rectangle, Sphere, displaced_sphere
@@ -24,7 +25,7 @@ def ring(scheme, steps_per_period, periods, **scene):
     period = 2.0 * np.pi / v.oscillation_frequency(2, R, v.CLEAN, "none")
     legendre = np.polynomial.legendre.Legendre.basis(2)
     dt = period / steps_per_period
-    numerics = v.Numerics(scheme=scheme, redistribution=0.0)
+    numerics = Numerics(scheme=scheme, redistribution=0.0)
     shape = displaced_sphere(R, lambda d: 0.05 * legendre(d[:, 1]))
     made = Scene("ring", shape, 600, material=v.CLEAN, numerics=numerics, dt=dt, fps=0.5 / dt, **scene)
     simulation = Simulation(made)
@@ -161,7 +162,7 @@ def ring_in_air(n, amplitude=0.005):
     period = 2.0 * np.pi / v.oscillation_frequency(2, R, v.CLEAN, "added_mass")
     legendre = np.polynomial.legendre.Legendre.basis(2)
     shape = displaced_sphere(R, lambda d: amplitude * legendre(d[:, 1]))
-    numerics = v.Numerics(redistribution=0.0)
+    numerics = Numerics(redistribution=0.0)
     dt = period / n
     air = Surroundings(air="added_mass", air_drag=0.0)
     made = Scene("ring", shape, 600, material=v.CLEAN, surroundings=air, numerics=numerics, dt=dt, fps=1.0 / dt)

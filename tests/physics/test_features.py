@@ -7,8 +7,10 @@ import pytest
 
 from melp_warp.errors import SimulationError
 from melp_warp.features import Features
+from melp_warp.material import Material, Surroundings
+from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
-from melp_warp.shapes import Disc, Rectangle, Sphere
+from melp_warp.shapes import Disc, Rectangle, Sphere, displaced_sphere
 from melp_warp.simulation import Simulation
 from melp_warp.study import validation as v
 
@@ -26,10 +28,10 @@ def flat(count=5, **material_and_air):
         Rectangle(0.1, 0.1),
         200,
         4,
-        material=v.Material(**material_and_air),
-        surroundings=v.Surroundings(drag=drag, gravity=(0.0, -v.GRAVITY, 0.0)),
+        material=Material(**material_and_air),
+        surroundings=Surroundings(drag=drag, gravity=(0.0, -v.GRAVITY, 0.0)),
         velocity=eddies,
-        numerics=v.Numerics(**numerics),
+        numerics=Numerics(**numerics),
     )
     simulation = Simulation(scene)
     v.steps(simulation, count, 2e-3)
@@ -76,9 +78,9 @@ def test_no_surfactant_is_the_limit_of_little():
 def test_light_air_is_no_air():
     """The added mass of air that weighs nothing: the frequency in vacuo."""
     leg = np.polynomial.legendre.Legendre.basis(2)
-    shape = v.displaced_sphere(0.05, lambda d: 0.01 * leg(d[:, 1]))
+    shape = displaced_sphere(0.05, lambda d: 0.01 * leg(d[:, 1]))
     found = []
-    for air in (v.Surroundings(), v.Surroundings(air="added_mass", air_density=1e-7)):
+    for air in (Surroundings(), Surroundings(air="added_mass", air_density=1e-7)):
         simulation = Simulation(Scene("ring", shape, 300, material=v.CLEAN, surroundings=air))
         found.append(v.steps(simulation, 10, 1e-3, lambda run=simulation: v.e_velocities(run)))
     assert np.abs(found[0] - found[1]).max() < 1e-3 * np.abs(found[0]).max()
@@ -109,7 +111,7 @@ def test_features_follow_from_the_scene():
     assert bubble.marangoni
     assert not bubble.viscous
     assert not bubble.air
-    flat_film = Features.of(Scene("b", Disc(0.05), 300, 4, material=v.Material(surfactant=0.0, viscosity=1e-6)))
+    flat_film = Features.of(Scene("b", Disc(0.05), 300, 4, material=Material(surfactant=0.0, viscosity=1e-6)))
     assert (flat_film.closed, flat_film.moving, flat_film.rim) == (False, False, True)
     assert not flat_film.marangoni
     assert flat_film.viscous

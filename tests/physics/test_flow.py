@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from melp_warp.material import Material
 from melp_warp.study import validation as v
 
 TRANSFERS = {"carrier": "apic", "flip": 0.95}
@@ -161,7 +162,7 @@ def test_exact_drainage_profile_stays_at_rest():
         run = v.drainage(300, 8, duration=2.0, drag=0.0, at_rest=True, flow=flow)
         assert run["error"] < 0.02
         assert run["l_error"] < 0.02
-        assert run["max_speed"] < 0.03 * v.elastic_speed(v.Material())
+        assert run["max_speed"] < 0.03 * v.elastic_speed(Material())
         assert run["final_speed"] < left * run["max_speed"]
 
 

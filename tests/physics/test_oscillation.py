@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 from melp_warp.errors import SimulationError
+from melp_warp.numerics import Numerics
+from melp_warp.scene import Scene
+from melp_warp.shapes import displaced_sphere
+from melp_warp.simulation import Simulation
 from melp_warp.study import validation as v
 
 
@@ -54,16 +58,16 @@ def ring_on(frames, e_count=600, mode=2, amplitude=0.05, **numerics):
         largest spread of E density.
     """
     legendre = np.polynomial.legendre.Legendre.basis(mode)
-    scene = v.Scene(
+    scene = Scene(
         "ring",
-        v.displaced_sphere(0.05, lambda d: amplitude * legendre(d[:, 1])),
+        displaced_sphere(0.05, lambda d: amplitude * legendre(d[:, 1])),
         e_count,
         material=v.CLEAN,
-        numerics=v.Numerics(scheme="trapezoid", **numerics),
+        numerics=Numerics(scheme="trapezoid", **numerics),
         fps=2500.0,
         dt=2e-4,
     )
-    simulation = v.Simulation(scene)
+    simulation = Simulation(scene)
     kinetic, surface, spread = [], [], []
     for _ in range(frames):
         simulation.advance_frame()
@@ -123,14 +127,14 @@ def explicit_run(scheme, cfl, support, e_count=300, count=60):
     speed = np.sqrt(2.0 * v.CLEAN.film_tension / v.CLEAN.areal_mass)
     spacing = np.sqrt(4.0 * np.pi * 0.05**2 / e_count)
     legendre = np.polynomial.legendre.Legendre.basis(2)
-    scene = v.Scene(
+    scene = Scene(
         "ring",
-        v.displaced_sphere(0.05, lambda d: 0.01 * legendre(d[:, 1])),
+        displaced_sphere(0.05, lambda d: 0.01 * legendre(d[:, 1])),
         e_count,
         material=v.CLEAN,
-        numerics=v.Numerics(scheme=scheme, support=support),
+        numerics=Numerics(scheme=scheme, support=support),
     )
-    simulation = v.Simulation(scene)
+    simulation = Simulation(scene)
     v.steps(simulation, count, cfl * spacing / speed)
     return np.abs(v.e_velocities(simulation)).max()
 

@@ -12,6 +12,7 @@ import pytest
 from melp_warp import cli
 from melp_warp.frame import ParticleFrame
 from melp_warp.quality import Quality
+from melp_warp.shapes import Sphere
 from melp_warp.simulation import Simulation
 from melp_warp.study import rounding as precision
 from melp_warp.study import tradeoff
@@ -111,7 +112,7 @@ def frame_of(points, normals, thickness):
 
 def test_field_error_of_known_fields():
     """A sphere against itself, 2 % thicker everywhere, and 1 % larger: of the extent 2 R that is 0.5 %."""
-    d = v.Sphere(1.0).sample(2000).points
+    d = Sphere(1.0).sample(2000).points
     thickness = np.full(2000, 400.0)
     reference = frame_of(d, d, thickness)
     assert tradeoff.field_error(reference, reference) < 1e-6

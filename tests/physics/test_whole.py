@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from melp_warp.registry import load_scene
+from melp_warp.simulation import Simulation
 from melp_warp.study import validation as v
 
 
@@ -52,7 +53,7 @@ def test_same_seed_same_bits():
     """Sums are taken in a fixed order: two runs of one seed agree in every bit after 20 frames, other seeds do not."""
 
     def state(seed):
-        simulation = v.Simulation(v.small_giant(300, 4, seed=seed))
+        simulation = Simulation(v.small_giant(300, 4, seed=seed))
         for _ in range(20):
             simulation.advance_frame()
         return simulation.state.numpy()
@@ -65,14 +66,14 @@ def test_same_seed_same_bits():
 
 def test_thickness_of_l_follows_that_of_e():
     """eta_L is relaxed until the areas that the L claim agree with the control areas: rms 2 % left alone, 3 % bound."""
-    simulation = v.Simulation(v.small_giant(400, 8))
+    simulation = Simulation(v.small_giant(400, 8))
     worst = max(v.steps(simulation, 60, 1.0 / 60.0, lambda: v.thickness_mismatch(simulation)))
     assert worst < 0.03
 
 
 def giant(**changes):
     script = load_scene("giant_bubble")
-    return v.Simulation(script.build(script.parameters.values(changes)))
+    return Simulation(script.build(script.parameters.values(changes)))
 
 
 @pytest.mark.parametrize("e_count", [1000, 4000])
