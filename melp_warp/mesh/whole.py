@@ -99,7 +99,7 @@ def join_meshes(
     Returns:
         The mesh, and what is not as it must be, a line each with its region.
     """
-    from melp_warp.usd.check import check_whole
+    from melp_warp.usd.check_surfaces import check_whole
 
     require(triangles is None or triangles > 0, "triangles", triangles, "above 0")
     labels = [label for label, mesh in sorted(meshes.items()) if len(mesh.faces)]

@@ -10,7 +10,7 @@ import numpy as np
 from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
 from melp_warp.mesh.surfaces import make_meshes
 from melp_warp.shapes import Jittered, Samples, Shape, Sphere
-from melp_warp.usd.check import check_surface
+from melp_warp.usd.check_surfaces import check_surface
 
 
 def frame_of(samples: Samples, thickness: np.ndarray | float = 400.0) -> ParticleFrame:

@@ -16,7 +16,8 @@ from melp_warp.shapes import Disc, Sphere
 from melp_warp.simulation import Simulation
 from melp_warp.study.mesh_validation import SCENES, frame_of, liquid_in, volume_of, whole_areas, whole_liquid
 from melp_warp.usd.cache import CacheWriter
-from melp_warp.usd.check import check_cache, check_whole
+from melp_warp.usd.check import check_cache
+from melp_warp.usd.check_surfaces import check_whole
 from melp_warp.usd.reading import read_frame, read_metadata, read_whole
 from melp_warp.usd.schema import WHOLE, list_frames
 from tests.foams import Double, cluster
