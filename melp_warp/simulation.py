@@ -17,9 +17,8 @@ from melp_warp.device.interrupt import let_through
 from melp_warp.device.launch import compile_kernels, launch
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
 from melp_warp.features import Features
-from melp_warp.frame import BLACK_FILM, ParticleFrame, beads
+from melp_warp.frame import ParticleFrame
 from melp_warp.kernels import advance as ka
-from melp_warp.kernels import diagnostics as kd
 from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
 from melp_warp.stages.film import THINNEST, Film
 from melp_warp.stages.notices import Notices
@@ -30,11 +29,13 @@ from melp_warp.stepping.burst import Burst
 from melp_warp.stepping.events import Events
 from melp_warp.stepping.foam_burst import FoamBurst
 from melp_warp.stepping.ledger import Ledger, Reading
+from melp_warp.stepping.log_line import line_of
 from melp_warp.stepping.parts import kernel_files
 from melp_warp.stepping.respacing import Respacing
 from melp_warp.stepping.sampling import FAR, MOST_TURN, film_of, make_film, set_up_again, unresolved
 from melp_warp.stepping.stepper import make_stepper
 from melp_warp.stepping.topology import Stored
+from melp_warp.stepping.view import particles_of
 
 LEAP = 0.3
 """Longest way of a particle in one step, relative to the film as a whole and in radii of the film.
@@ -87,6 +88,7 @@ class Simulation:
 
     Attributes:
         stepper: the stages, with the film and its state.
+        last_dt: size of the last step, s; substeps: how many there were in the frame.
         notices: what whoever uses the results must know of them.
         watched: whether every step is checked at once, which a GPU would have to be waited for; else between frames.
         step_seconds: wall time of each step, s; the first ones load and record kernels, and on a GPU this is the time
@@ -105,7 +107,7 @@ class Simulation:
         self.device = find_device(device)
         self.watched = not self.device.is_cuda
         self.notices = Notices()
-        self._last_dt, self._substeps = 0.0, 0
+        self.last_dt, self.substeps = 0.0, 0
         self.events = Events(self) if isinstance(scene.shape, Cluster) else None
         kind = FoamBurst if isinstance(scene.shape, Cluster) else Burst
         self.burst = kind(self) if scene.bursts else None
@@ -217,7 +219,7 @@ class Simulation:
         if self.burst is not None:
             self.burst.after_step(dt)
         self.step_seconds.append(time.perf_counter() - began)
-        self._last_dt = dt
+        self.last_dt = dt
 
     def advance_frame(self) -> None:
         """Advance by 1/fps.
@@ -308,7 +310,7 @@ class Simulation:
     def _remark(self) -> None:
         """Note what must be known of the frame that is done (reads back)."""
         if self.stepper.budget is not None:
-            self.ledger.take(self.stepper.budget.read(), self.time - self._last_dt)
+            self.ledger.take(self.stepper.budget.read(), self.time - self.last_dt)
         self.stepper.remark(self.notices)
         if not self.gone:
             self._remark_film()
@@ -340,7 +342,7 @@ class Simulation:
         """Take steps until `end` (s), each checked at once if it is `watched`."""
         self.notices.begin()
         self._change_regions()
-        self._substeps = 0
+        self.substeps = 0
         self.stepper.wall = dict.fromkeys(self.stepper.wall, 0.0)
         if not self.gone:
             self.stepper.lists.forget_leaps()
@@ -372,7 +374,7 @@ class Simulation:
         if travel.max() > self.state.course.reach and self.scene.numerics.scheme != "explicit":
             which = "E" if travel[0] >= travel[1] else "L"
             raise LeapError(
-                f"stage advance_{which.lower()}: {which} move {travel.max():.3g} m in a step of {self._last_dt:.3g} s,"
+                f"stage advance_{which.lower()}: {which} move {travel.max():.3g} m in a step of {self.last_dt:.3g} s,"
                 f" more than {LEAP:g} of the film's radius"
             )
 
@@ -381,7 +383,7 @@ class Simulation:
         course, room = self.state.course, self.film.room
         if isinstance(error, LeapError):
             travel = float(self.stepper.lists.travel.numpy()[4:].max())
-            cap = 0.5 * self._last_dt * max(course.reach / max(course.reach, travel), LEAST_CUT)
+            cap = 0.5 * self.last_dt * max(course.reach / max(course.reach, travel), LEAST_CUT)
             fastest = course.speed if self.film.features.moving else max(course.speed, FASTEST)
             least = LEAST_STEP * self.film.spacing / fastest
             return (cap, room) if cap > max(least, 1.0 / (self.scene.fps * MOST_STEPS_AGAIN)) else None
@@ -418,8 +420,8 @@ class Simulation:
         if self.stepper.budget is not None and (count == 1 or sudden):
             self.stepper.budget.weigh()
         self.step(left / count)
-        self._substeps += 1
-        return self._last_dt
+        self.substeps += 1
+        return self.last_dt
 
     def _until(self, end: float) -> float:
         """End of the frame, or the time of an event before it, s."""
@@ -491,194 +493,11 @@ class Simulation:
 
     def particles(self, which: str) -> ParticleFrame:
         """The L ("l"), E ("e"), free rims ("rims"), drops ("drops") or the scene's own by name, as NumPy arrays."""
-        if which in ("rims", "drops"):
-            return self.burst.particles(which)
-        if which in self.state.sets:
-            return self._set(which)
-        if self.gone:
-            return ParticleFrame.empty(tuple(self.origin.tolist()), list(self.scene.shown))
-        n = self.film.n_l if which == "l" else self.film.n_e
-        if which == "l":
-            lag = self.state.l
-            x, v, normal, eta = (a.numpy() for a in (lag.x, lag.v, lag.normal, lag.eta))
-            area = lag.mass.numpy() / (self.scene.material.density * eta)
-        else:
-            self.stepper.fields.update()
-            e = self.state.e
-            x, v, normal = e.x.numpy()[:n], self.stepper.carrier.velocity_of_e(), e.normal.numpy()[:n]
-            eta, area = self.stepper.fields.eta.numpy(), self.stepper.geometry.area.numpy()
-        source = self.state.l if which == "l" else self.state.e
-        region = np.array(self.film.labels, dtype=np.int32)[source.region.numpy()[:n]]
-        ids = self.state.ids[which]
-        order = np.argsort(ids, kind="stable")
-        if source.behind is not None or (which == "l" and self.film.features.collects):
-            there = area > 0.0  # a wire or a free rim has collected the liquid of the others
-            if source.behind is not None:
-                there &= source.behind.numpy() == 0
-            order = order[there[order]]
-        thickness = (eta * 1e9).astype(np.float32)[order]
-        return ParticleFrame(
-            points=(x + (self.state.origin - self.origin)).astype(np.float32)[order],
-            velocities=v.astype(np.float32)[order],
-            ids=ids[order].astype(np.int64),
-            widths=np.sqrt(4.0 / np.pi * area).astype(np.float32)[order],
-            normals=normal.astype(np.float32)[order],
-            thickness=thickness,
-            region=region[order],
-            black_film=(thickness <= BLACK_FILM).astype(np.int32),
-            origin=tuple(self.origin.tolist()),
-            carried={name: held.astype(np.float32)[order] for name, held in self._carried(which, area).items()},
-        )
-
-    def _set(self, name: str) -> ParticleFrame:
-        """A set of the scene's own; as of drops, `thickness` is the diameter."""
-        held = {key: array.numpy() for key, array in self.state.sets[name].items()}
-        width = next(one.width for one in self.scene.sets if one.name == name)
-        count, x = len(held["x"]), held["x"] + (self.state.origin - self.origin)
-        return beads(
-            x, held.get("u", 0.0 * x), np.full(count, width), np.tile([0.0, 1.0, 0.0], (count, 1)), self.origin
-        )
-
-    def _carried(self, which: str, area: np.ndarray) -> dict[str, np.ndarray]:
-        """What the scene declares or wants shown, of particles with these areas (m^2), in its units."""
-        scene, state, stepper = self.scene, self.state, self.stepper
-        if not scene.shown:
-            return {}
-        if which == "l":
-            held, mass = {**state.carried, "circulation": state.l.circulation}, state.l.mass.numpy()
-        else:
-            stepper.transfer.normalize()
-            held = {one.name: stepper.carriage.gather(one.name) for one in scene.carried}
-            mass = stepper.carriage.gather_mass().numpy() if scene.carried else None
-            if "circulation" in scene.shown:
-                stepper.circulation.gather()
-                held["circulation"] = stepper.circulation.carried
-        found = {one.name: one.shown(held[one.name].numpy(), area, mass) for one in scene.carried}
-        return found | {name: held[name].numpy() for name in scene.shown if name not in found}
+        return particles_of(self, which)
 
     def diagnostics(self) -> dict:
         """Everything worth a line of the run's log; plain numbers (reads back)."""
-        film, state, stepper = self.film, self.state, self.stepper
-        if self.gone:
-            return self._diagnostics_of_nothing()
-        stepper.settle()
-        stepper.fields.update()
-        sums = self._sums()
-        gas = state.gas.numpy()
-        closed = film.features.closed
-        result = {
-            "frame": state.frame,
-            "time": state.time,
-            "dt": self._last_dt,
-            "substeps": self._substeps,
-            "solvers": stepper.report_solves(),
-            "e_count": film.n_e,
-            "l_count": film.n_l,
-            "area": float(gas[:, 4].sum()),
-            "volume": float(gas[:, 0].sum()) if closed else None,
-            "pressure": float(gas[0, 1]) if closed else None,
-            "e_spread": 0.0,
-            **stepper.report(),
-            **(self._border_diagnostics() if film.features.collects else {}),
-            **(self.burst.diagnostics() if self.burst is not None else {}),
-            "mass": sums[0],
-            "surfactant": sums[1],
-            **self._totals(),
-            "momentum": sums[2:5].tolist(),
-            "kinetic_energy": sums[5],
-            "surface_energy": self._surface_energy(),
-            "max_speed": math.sqrt(sums[6]),
-            **self._thickness_diagnostics(sums),
-            "lost": len(stepper.lists.strays),
-            "notices": dict(self.notices.of_frame),
-            **({"budget": self.ledger.line()} if self.ledger is not None else {}),
-            "wall_ms": {name: 1e3 * seconds for name, seconds in stepper.wall.items() if seconds > 0.0},
-        }
-        return {k: float(v) if isinstance(v, np.floating) else v for k, v in result.items()}
-
-    def _diagnostics_of_nothing(self) -> dict:
-        """The same keys once the last film has popped: sums are 0, and what has no value is None."""
-        return {
-            "frame": self.frame,
-            "time": self.time,
-            "dt": self._last_dt,
-            "substeps": self._substeps,
-            "solvers": {},
-            **dict.fromkeys(("e_count", "l_count"), 0),
-            **dict.fromkeys(("area", "volume"), 0.0),
-            "pressure": None,
-            **{name: [] for name in ("regions", "volumes", "pressures", "gas")},
-            "covered": None,
-            "spilled": self.spilled,
-            **(self._border_diagnostics() if self.state.border is not None else {}),
-            **(self.burst.diagnostics() if self.burst is not None else {}),
-            **dict.fromkeys(("mass", "surfactant"), 0.0),
-            **self._totals(),
-            "momentum": [0.0, 0.0, 0.0],
-            **dict.fromkeys(("kinetic_energy", "surface_energy", "max_speed"), 0.0),
-            **dict.fromkeys(("thickness_min", "thickness_mean", "thickness_max", "thickness_std"), None),
-            "e_spread": 0.0,
-            "lost": 0,
-            "notices": dict(self.notices.of_frame),
-            **({"budget": self.ledger.line()} if self.ledger is not None else {}),
-            "wall_ms": {},
-        }
-
-    def _totals(self) -> dict:
-        """All there is of what the scene declares; nothing where it declares none."""
-        names, state = [one.name for one in self.scene.carried], self.state
-        if not names:
-            return {}
-        if self.gone:
-            totals = {
-                name: float(state.d.more[name].numpy().sum(dtype=np.float64)) if state.d else 0.0 for name in names
-            }
-        else:
-            totals = {name: self.stepper.carriage.total(name) for name in names}
-        left = {"carried_left": dict(state.course.left)} if any(state.course.left.values()) else {}
-        return {"carried": totals, **left}
-
-    @staticmethod
-    def _thickness_diagnostics(sums: np.ndarray) -> dict:
-        """Thickness in nm; None where the rim has collected all liquid."""
-        names = [f"thickness_{name}" for name in ("min", "mean", "max", "std")]
-        if sums[10] == 0.0:
-            return dict.fromkeys(names)
-        mean, square = sums[9] / sums[10], sums[11] / sums[10]
-        values = (sums[7], mean, sums[8], math.sqrt(max(square - mean**2, 0.0)))
-        return {name: 1e9 * value for name, value in zip(names, values, strict=True)}
-
-    def _border_diagnostics(self) -> dict:
-        """Liquid (kg) and surfactant (mol) that the rim has collected, momentum that it has taken (kg m/s)."""
-        border = self.state.border.numpy().tolist()
-        return {"border_mass": border[0], "border_surfactant": border[1], "rim_impulse": border[2:5]}
-
-    def _sums(self) -> np.ndarray:
-        film, state = self.film, self.state
-        if self.burst is not None and self.burst.torn:
-            return self.burst.sums()
-        if self.has_l:
-            lag = state.l
-            arrays = [lag.mass, lag.surfactant, lag.u, lag.v, lag.eta, film.material.density, film.n_l]
-        else:
-            e = state.e
-            arrays = [e.mass, e.surfactant, e.u, e.u, self.stepper.fields.eta, film.material.density, film.n_e]
-        summary = film.parts(kd.vec12d)
-        film.launch_parts(kd.summarize_chunks, arrays, [summary])
-        parts = summary.numpy()
-        total = parts.sum(axis=0)
-        total[6], total[7], total[8] = parts[:, 6].max(), parts[:, 7].min(), parts[:, 8].max()
-        return total
-
-    def _surface_energy(self) -> float:
-        film, s = self.film, self.stepper
-        cover, energy = s.membrane.cover if s.membrane is not None else None, film.parts(wp.float64)
-        film.launch_parts(
-            kd.energy_chunks,
-            [s.geometry.area, s.fields.gamma, self.state.e.region, film.tension, film.slope, cover, film.n_e],
-            [energy],
-        )
-        return float(energy.numpy().sum())
+        return line_of(self)
 
     def back(self) -> None:
         """Return to the last good frame, from within a frame that was interrupted."""
