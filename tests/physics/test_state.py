@@ -12,7 +12,7 @@ from melp_warp.errors import CrowdedError
 from melp_warp.material import Surroundings
 from melp_warp.numerics import Numerics
 from melp_warp.scene import Scene
-from melp_warp.shapes import Cap, Disc, Rectangle, Sphere
+from melp_warp.shapes import Cap, Disc, Rectangle, Sphere, StarShaped
 from melp_warp.simulation import Simulation
 from melp_warp.study import limits
 from melp_warp.study.validation import small_giant
@@ -34,7 +34,7 @@ def blow(x):
 
 def ridged(radius):
     """A ball out of shape."""
-    return limits.StarShaped(radius, lambda d: 0.2 * d[:, 0] ** 2 - 0.1 * d[:, 1])
+    return StarShaped(radius, lambda d: 0.2 * d[:, 0] ** 2 - 0.1 * d[:, 1])
 
 
 def foam(**options):

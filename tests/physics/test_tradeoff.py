@@ -134,8 +134,8 @@ def test_records_are_written(tmp_path):
 
 def test_command_measures_a_scene(tmp_path, monkeypatch, capsys):
     """Reference first, everything else against it: more E are nearer to it, and the folder holds the records."""
-    monkeypatch.setattr(tradeoff, "KNOBS", {"e": KNOBS["e"], "curvature": KNOBS["curvature"]})
-    monkeypatch.setattr(tradeoff, "QUALITIES", {"draft": Quality(e=0.5)})
+    monkeypatch.setattr(tradeoff.studies, "KNOBS", {"e": KNOBS["e"], "curvature": KNOBS["curvature"]})
+    monkeypatch.setattr(tradeoff.studies, "QUALITIES", {"draft": Quality(e=0.5)})
     out = tmp_path / "trade"
     options = ["--e", "300", "--frames", "12", "--out", str(out), "--set", "l_per_e=4"]
     assert cli.main(["tradeoff", "drainage", *options]) == 0
