@@ -350,6 +350,7 @@ def _add_tradeoff(commands: argparse._SubParsersAction) -> None:
 def _run(options: argparse.Namespace) -> int:
     from melp_warp.bursting import Puncture
     from melp_warp.program import runner
+    from melp_warp.program.plan import Every, Plan
     from melp_warp.program.resume import numbers_of, options_of
     from melp_warp.program.room import Room, parse_size
     from melp_warp.quality import find_quality
@@ -394,7 +395,7 @@ def _run(options: argparse.Namespace) -> int:
     budget, scene = writes.pop("budget"), script.build(values)
     more = [Puncture.parse(text) for text in writes["punctures"].split(";") if text]
     bursting = replace(scene.bursting, punctures=(*scene.bursting.punctures, *more))
-    plan = runner.Plan(
+    plan = Plan(
         scene=replace(scene, budget=budget, bursting=bursting),
         name=script.name,
         parameters=values.as_dict(),
@@ -403,7 +404,7 @@ def _run(options: argparse.Namespace) -> int:
         preview=options.preview,
         quiet=options.quiet,
         strict=options.strict,
-        every=runner.Every.parse(options.checkpoint),
+        every=Every.parse(options.checkpoint),
         overwrite=options.overwrite,
         start=start,
         room=Room(parse_size("--max-memory", options.max_memory), parse_size("--max-disk", options.max_disk)),
@@ -468,7 +469,7 @@ def _shown(value: object) -> str:
 
 def _preview(options: argparse.Namespace) -> int:
     from melp_warp.preview.pictures import Shot
-    from melp_warp.program import runner
+    from melp_warp.program import afterwards
 
     given = vars(options) | {"width": options.size[0], "height": options.size[1]}
     require(options.frame is None or options.frames is None, "--frames", options.frames, "left out with --frame")
@@ -476,15 +477,15 @@ def _preview(options: argparse.Namespace) -> int:
         given["frames"] = (options.frame, options.frame, 1)
     elif options.movie is not None and options.frames is None:
         given["frames"] = (None, None, 1)
-    for path in runner.draw(Shot(**{name: given[name] for name in Shot.__dataclass_fields__})):
+    for path in afterwards.draw(Shot(**{name: given[name] for name in Shot.__dataclass_fields__})):
         print(path)
     return OK
 
 
 def _mesh(options: argparse.Namespace) -> int:
-    from melp_warp.program import runner
+    from melp_warp.program import afterwards
 
-    problems = runner.mesh_cache(options.folder, options.triangles, options.whole)
+    problems = afterwards.mesh_cache(options.folder, options.triangles, options.whole)
     for problem in problems:
         print(problem)
     if problems:
@@ -494,9 +495,9 @@ def _mesh(options: argparse.Namespace) -> int:
 
 
 def _blender(options: argparse.Namespace) -> int:
-    from melp_warp.program import runner
+    from melp_warp.program import afterwards
 
-    print(runner.write_blender(options.folder))
+    print(afterwards.write_blender(options.folder))
     return OK
 
 

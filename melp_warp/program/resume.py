@@ -57,11 +57,11 @@ class Start:
         folder: that of the run that wrote it.
         scene: name of its scene.
         parameters: keys and values of the scene; None for "auto".
-        options: what it writes, by the names of `runner.Plan`: export, full, mesh, triangles, whole, first,
+        options: what it writes, by the names of `Plan`: export, full, mesh, triangles, whole, first,
             punctures; and budget.
         frame: number of the checkpoint's frame.
         line: what the log says of that frame; without "sha256" where the frame was not written.
-        empty_from: see `runner._Output`.
+        empty_from: see `Output`.
     """
 
     path: Path

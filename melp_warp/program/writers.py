@@ -17,7 +17,7 @@ from melp_warp.errors import SCENE_FILE, InputError, in_a_line, require
 
 if TYPE_CHECKING:
     from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
-    from melp_warp.program.runner import Plan
+    from melp_warp.program.plan import Plan
     from melp_warp.simulation import Simulation
 
 USD = "usd"

@@ -14,7 +14,7 @@ from melp_warp.usd.reading import store_floors
 from melp_warp.usd.schema import DROPS, FREE_RIMS
 
 if TYPE_CHECKING:
-    from melp_warp.program.runner import Plan
+    from melp_warp.program.plan import Plan
     from melp_warp.simulation import Simulation
 
 

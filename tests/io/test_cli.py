@@ -16,7 +16,7 @@ from melp_warp import cli
 from melp_warp.errors import InputError, SimulationError
 from melp_warp.frame import ParticleFrame
 from melp_warp.preview.pictures import spread
-from melp_warp.program import runner
+from melp_warp.program import afterwards, runner
 from melp_warp.stages.notices import Notices
 from melp_warp.usd.check import check_cache
 from melp_warp.usd.reading import read_frame, read_metadata
@@ -201,8 +201,8 @@ def test_options_reach_the_scene(tmp_path, solver, monkeypatch):
 
 
 def test_preview_draws_the_last_frame_and_a_contact_sheet(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "PREVIEW_SIZE", 48)
-    monkeypatch.setattr(runner, "CONTACT_SIZE", 24)
+    monkeypatch.setattr(afterwards, "PREVIEW_SIZE", 48)
+    monkeypatch.setattr(afterwards, "CONTACT_SIZE", 24)
     out = tmp_path / "cache"
     assert run("giant_bubble", "--frames", 12, "--preview", "--quiet", "--out", out, *FEW) == 0
     from PIL import Image
@@ -295,7 +295,7 @@ def test_a_run_does_not_overwrite_a_run(tmp_path, capsys):
 
 def test_what_a_system_folder_is_refused_before(monkeypatch, capsys):
     """Before Warp is started, which took 13 s."""
-    monkeypatch.setattr(runner, "_start_warp", lambda: pytest.fail("Warp was started"))
+    monkeypatch.setattr(runner, "begin_warp", lambda: pytest.fail("Warp was started"))
     assert run("giant_bubble", "--out", "/proc/foo") == 2
     one_line(capsys, "a folder of a disk")
 

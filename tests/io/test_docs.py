@@ -24,7 +24,7 @@ import pytest
 import warp as wp
 
 from melp_warp import cli
-from melp_warp.program import runner
+from melp_warp.program import afterwards, runner
 from melp_warp.registry import load_scene, scene_names
 from melp_warp.usd.schema import list_frames
 
@@ -194,8 +194,9 @@ def files(tmp_path, monkeypatch):
 @pytest.mark.parametrize("command", OWN, ids=of)
 def test_a_command_is_taken_as_it_stands(command, files, monkeypatch, capsys):
     """Options, keys, values and ranges are right and the scene is built; nothing is simulated."""
-    for work in ("run", "estimate", "trade", "draw", "write_blender"):
-        monkeypatch.setattr(runner, work, lambda *_, **__: 0)
+    for home, works in ((runner, ("run", "estimate", "trade")), (afterwards, ("draw", "write_blender"))):
+        for work in works:
+            monkeypatch.setattr(home, work, lambda *_, **__: 0)
     arguments = own_arguments(command)
     try:
         options = cli._parser().parse_args(arguments)
@@ -303,8 +304,8 @@ def run_short(command, cache, monkeypatch):
         with pytest.raises(SystemExit):
             cli.main(arguments)
         return
-    monkeypatch.setattr(runner, "PREVIEW_SIZE", 32)
-    monkeypatch.setattr(runner, "CONTACT_SIZE", 32)
+    monkeypatch.setattr(afterwards, "PREVIEW_SIZE", 32)
+    monkeypatch.setattr(afterwards, "CONTACT_SIZE", 32)
     if arguments[0] != "run":
         lay_out(command, cache)
     settings = dict(word.split("=") for word in command.words if re.match(r"MELP_WARP_\w+=", word))

@@ -18,7 +18,8 @@ from melp_warp import cli
 from melp_warp.device.interrupt import end_like_ctrl_c, finish_first, let_through
 from melp_warp.errors import InputError
 from melp_warp.files import append
-from melp_warp.program import resume, runner
+from melp_warp.program import output, resume
+from melp_warp.program.plan import Every
 from melp_warp.simulation import Simulation
 from melp_warp.usd.check import check_cache
 from melp_warp.usd.schema import list_frames
@@ -82,7 +83,7 @@ def die_at(monkeypatch, count):
         append(path, data)
 
     monkeypatch.setattr(os, "replace", replacing)
-    monkeypatch.setattr(runner, "append", appending)
+    monkeypatch.setattr(output, "append", appending)
     return made
 
 
@@ -385,7 +386,7 @@ def test_held_signals_come_through(number):
     ("text", "seconds", "frames"), [("20", 0.0, 20), ("30s", 30.0, 0), ("1.5min", 90.0, 0), ("0", 0, 0)]
 )
 def test_when_checkpoints_are_due(text, seconds, frames):
-    every = runner.Every.parse(text)
+    every = Every.parse(text)
     assert (every.seconds, every.frames) == (seconds, frames)
     assert every.due(1e9, 1_000_000) == (text != "0")
     assert not every.due(0.9 * seconds, frames - 1)
