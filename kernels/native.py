@@ -244,30 +244,6 @@ def gradient_row(
 
 
 @wp.func_native(f"""{ROW}
-    const float* g = (const float*)gradient.data;
-    const float* values = (const float*)u.data;
-    const float mx = way[0], my = way[1], mz = way[2];
-    const float ux = values[3 * i], uy = values[3 * i + 1], uz = values[3 * i + 2];
-    float x = 0.0f, y = 0.0f, z = 0.0f;
-    {{{LOOP}
-    {{
-        const int j = index[k];
-        const float w = mx * g[3 * k] + my * g[3 * k + 1] + mz * g[3 * k + 2];
-        x += w * (values[3 * j] - ux);
-        y += w * (values[3 * j + 1] - uy);
-        z += w * (values[3 * j + 2] - uz);
-    }}
-    }}
-    return wp::vec_t<3, float>(x, y, z);
-""")
-def change_along(
-    i: int, way: wp.vec3, u: wp.array(dtype=wp.vec3), rows: Neighbors, gradient: wp.array(dtype=wp.vec3)
-) -> wp.vec3:
-    """sum_j (way.gradient_ij) (u_j - u_i): how u changes along `way`."""
-    ...
-
-
-@wp.func_native(f"""{ROW}
     const float* q = (const float*)x.data;
     const float* values = (const float*)u.data;
     const float* speeds = speed.data;

@@ -161,16 +161,14 @@ def evaluate_sums(
     out[i, 1] = kr.sum_quotients(i, pair, f, f, rows, limit)
     mean = kr.sum_vectors(i, pair, v, rows, limit)
     slope = kr.gradient_row(i, f, rows, gradient, limit)
-    change = kr.change_along(i, v[i], v, rows, gradient)
     away = kr.away_from_near(i, x, v, rows, close)
-    out[i, 14] = kr.sum_within(i, pair, rows, limit)
-    out[i, 15] = kr.sum_shares(i, f, pair, rows)
-    out[i, 16] = kr.sum_products_of(i, f, f, pair, rows)
+    out[i, 11] = kr.sum_within(i, pair, rows, limit)
+    out[i, 12] = kr.sum_shares(i, f, pair, rows)
+    out[i, 13] = kr.sum_products_of(i, f, f, pair, rows)
     for c in range(3):
         out[i, 2 + c] = mean[c]
         out[i, 5 + c] = slope[c]
-        out[i, 8 + c] = change[c]
-        out[i, 11 + c] = away[c]
+        out[i, 8 + c] = away[c]
 
 
 def test_sums_with_ready_weights(device):
@@ -181,7 +179,7 @@ def test_sums_with_ready_weights(device):
     x, v = rng.uniform(-0.5, 0.5, (N, 3)), rng.normal(size=(N, 3))
     x[columns[7][0]] = x[7]  # two in one place push each other nowhere
     f, pair = rng.uniform(0.5, 1.5, N), rng.normal(size=rows.index.shape[0])
-    gradient, out = rng.normal(size=(len(pair), 3)), wp.zeros((N, 17), dtype=float, device=device)
+    gradient, out = rng.normal(size=(len(pair), 3)), wp.zeros((N, 14), dtype=float, device=device)
     vectors = [wp.array(a, dtype=wp.vec3, device=device) for a in (x, v)]
     given = [wp.array(a, dtype=float, device=device) for a in (f, pair)]
     slopes = wp.array(gradient, dtype=wp.vec3, device=device)
@@ -192,9 +190,8 @@ def test_sums_with_ready_weights(device):
     push = np.where((far < close) & (far > 0.0) & facing, close / np.where(far > 0.0, far, 1.0) - 1.0, 0.0)
     assert 20 < np.count_nonzero(push) < len(push)
     terms = [pair, pair * below, (pair * below)[:, None] * v[j], (below * (f[j] - f[i]))[:, None] * gradient]
-    terms += [np.sum(gradient * v[i], axis=1)[:, None] * (v[j] - v[i]), push[:, None] * d]
-    terms += [pair * below, pair * f[j], pair * f[j] ** 2]
-    sums = np.split(out.numpy(), (1, 2, 5, 8, 11, 14, 15, 16), axis=1)
+    terms += [push[:, None] * d, pair * below, pair * f[j], pair * f[j] ** 2]
+    sums = np.split(out.numpy(), (1, 2, 5, 8, 11, 12, 13), axis=1)
     for got, term in zip(sums, terms, strict=True):
         agree(got, by_row(i, term.reshape(len(i), -1)))
 
