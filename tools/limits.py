@@ -16,6 +16,7 @@ from pathlib import Path
 import warp as wp
 
 from melp_warp.study import limits
+from melp_warp.tables import wrap_markdown
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "limits.md"
 RANDOM = 300
@@ -134,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
     found = run_cases([case for case in limits.MATRIX if case.topic in (options.only or topics)])
     outcomes = Counter() if options.only else run_random(options.random)
     if options.write:
-        PAGE.write_text(page(found, outcomes))
+        PAGE.write_text(wrap_markdown(page(found, outcomes)))
         print(f"wrote {PAGE}")
     missed = [f"{case.topic}: {case.setting}" for case, verdict in found if verdict.outcome != case.expected]
     if missed:

@@ -35,6 +35,7 @@ from melp_warp.simulation import Simulation  # noqa: E402
 from melp_warp.study import rounding as precision  # noqa: E402
 from melp_warp.study import tradeoff as t  # noqa: E402
 from melp_warp.study import validation as v  # noqa: E402
+from melp_warp.tables import wrap_markdown  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "accuracy.md"
@@ -390,7 +391,8 @@ def main(arguments: list[str] | None = None) -> int:
         run(options.only or list(t.CASES), options.size, options.points, FIGURES if options.write else None)
     if options.write:
         saved = json.loads(source.read_text())
-        PAGE.write_text(page([t.Record(**{**r, **no_number(r)}) for r in saved["records"]], saved["seconds"]))
+        made = page([t.Record(**{**r, **no_number(r)}) for r in saved["records"]], saved["seconds"])
+        PAGE.write_text(wrap_markdown(made))
         print(f"wrote {PAGE}")
     return 0
 

@@ -29,6 +29,7 @@ wp.config.quiet = True
 from melp_warp.registry import load_scene  # noqa: E402
 from melp_warp.scene import Scene  # noqa: E402
 from melp_warp.study import validation as v  # noqa: E402
+from melp_warp.tables import wrap_markdown  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "validation.md"
@@ -571,7 +572,7 @@ def main(arguments: list[str] | None = None) -> int:
     results = {name: run_case(name, options.full) for name in options.only or CASES}
     if options.write:
         pictures = figures(results, FIGURES)
-        PAGE.write_text(page(results, pictures, time.perf_counter() - began))
+        PAGE.write_text(wrap_markdown(page(results, pictures, time.perf_counter() - began)))
         print(f"wrote {PAGE} and {len(pictures)} figures")
     missed = [n for n, found in results.items() for r in found if CASES[n].met is not None and CASES[n].met(r) is False]
     if missed:

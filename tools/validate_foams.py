@@ -23,6 +23,7 @@ import warp as wp
 wp.config.quiet = True
 
 from melp_warp.study import foam_validation as v  # noqa: E402
+from melp_warp.tables import wrap_markdown  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "validation-foams.md"
@@ -244,7 +245,7 @@ def main() -> None:
         case(page, options.write)
     if options.write:
         draw(statics, dynamics)
-        PAGE.write_text(page.text(time.perf_counter() - began))
+        PAGE.write_text(wrap_markdown(page.text(time.perf_counter() - began)))
 
 
 if __name__ == "__main__":

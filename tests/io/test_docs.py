@@ -26,6 +26,7 @@ import warp as wp
 from melp_warp import cli
 from melp_warp.program import afterwards, runner
 from melp_warp.registry import load_scene, scene_names
+from melp_warp.tables import wrap_markdown
 from melp_warp.usd.schema import list_frames
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -256,6 +257,17 @@ def test_every_option_is_documented(name):
         for option in action.option_strings:
             if option not in ("-h", "--help"):
                 assert re.search(rf"[`\[]{option}\b", text), f"{name} {option} is not documented"
+
+
+def test_lines_of_pages_are_short():
+    """All but rows of tables and code; wrapping changes white space alone, and nothing twice."""
+    for path in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")):
+        text = path.read_text()
+        assert wrap_markdown(text) == text, path.name
+    long = "* `a b`: " + "word " * 40 + "\n\n| " + "cell " * 40 + "|\n\n```\n" + "code " * 40 + "\n```\n"
+    made = wrap_markdown(long)
+    assert max(len(line) for line in made.splitlines()[:2]) <= 125 and made.splitlines()[1].startswith("  word")
+    assert made.split() == long.split() and made.endswith(long[long.index("| cell") :])
 
 
 # --- run short -------------------------------------------------------------------------------------------------------
