@@ -341,6 +341,7 @@ class Simulation:
     def _advance_to(self, end: float, watched: bool) -> None:
         """Take steps until `end` (s), each checked at once if it is `watched`."""
         self.notices.begin()
+        self.state.course.sprayed = self.state.course.issued["d"]
         self._change_regions()
         self.substeps = 0
         self.stepper.wall = dict.fromkeys(self.stepper.wall, 0.0)

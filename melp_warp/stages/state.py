@@ -15,6 +15,7 @@ from melp_warp.device.scalars import Reading
 from melp_warp.features import Features
 from melp_warp.kernels.budget import SLOTS
 from melp_warp.stages.film import count_parts
+from melp_warp.stages.record import NAMES, nothing
 
 if TYPE_CHECKING:
     from melp_warp.carried import Carried
@@ -262,6 +263,7 @@ class Course:
         left: name -> what went with that, or with films that popped, of what the scene declares.
         shown: [3] where exported positions are measured from, the same for the whole run, m.
         issued: how many numbers were given so far to E ("e"), L ("l") and drops ("d"): none is given twice.
+        sprayed: how many drops there had been when the last frame began.
         spacing: E spacing at the start, m.
         areas: of the regions a frame ago, m^2, where E come and go with them; else none.
         ledger: the energy budget so far; None where the scene wants none.
@@ -292,6 +294,7 @@ class Course:
     left: dict[str, float] = field(default_factory=dict)
     shown: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     issued: dict[str, int] = field(default_factory=lambda: {"e": 0, "l": 0, "d": 0})
+    sprayed: int = 0
     spacing: float = 0.0
     areas: list[float] = field(default_factory=list)
     ledger: Ledger | None = None
@@ -365,6 +368,7 @@ def declared(scene: Scene | Features | None = None) -> dict[str, Declared]:
         "ids.e": ("i", "e", (), None),
         "ids.l": ("i", "l", (), None),
         "ids.d": ("i", "d", (), lambda f: f.bursts),
+        **{f"swept.{name}": (np.dtype(kind).kind, "h", (), lambda f: f.bursts) for name, kind in NAMES.items()},
         "origin": ("f", 3, (), None),
         "time": ("f", None, (), None),
         "frame": ("i", None, (), None),
@@ -419,6 +423,7 @@ class State:
         course: what the host remembers.
         seen: how far particles had moved after the last steps, as the host sees it; see `NeighborLists`.
         ids: "e" and "l": [n] int64 number of each particle, the same for the whole run.
+        swept: which L's liquid free rims and drops hold, see `melp_warp.stages.record.Swept`; {} without.
         origin: [3] float64, m: where positions are measured from. They are float32, which resolves 1e-7 of a distance:
             of that from the film, not from the world's origin.
         time: s.
@@ -460,6 +465,7 @@ class State:
         self.ids = {"e": np.arange(e.count), "l": np.arange(l.count if l else 0)}
         if features.bursts:
             self.ids["d"] = np.arange(self.d.x.shape[0])
+        self.swept = nothing() if features.bursts else {}
         self.origin = np.zeros(3) if origin is None else origin
         self.time, self.frame = time, 0
 
@@ -494,6 +500,7 @@ class State:
         """All arrays and the place in time and space as NumPy copies; `course` and `seen` are not among them."""
         stored = {name: a.numpy().copy() for name, a in self.arrays().items()}
         stored |= {f"ids.{kind}": ids.copy() for kind, ids in self.ids.items()}
+        stored |= {f"swept.{name}": array.copy() for name, array in self.swept.items()}
         return stored | {"origin": self.origin.copy(), "time": np.array(self.time), "frame": np.array(self.frame)}
 
     def load(self, stored: dict[str, np.ndarray]) -> None:
@@ -502,6 +509,7 @@ class State:
             if name in stored:
                 array.assign(stored[name])
         self.ids = {kind: stored.get(f"ids.{kind}", ids) for kind, ids in self.ids.items()}
+        self.swept = {name: stored.get(f"swept.{name}", array) for name, array in self.swept.items()}
         self.origin = state_origin(stored)
         self.time = float(stored["time"])
         self.frame = int(stored["frame"])
@@ -524,7 +532,19 @@ class State:
                 name: getattr(was, name)
                 for name in (
                     *("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger"),
-                    *("punctured", "holed", "gas", "run", "rest", "left", "tears", "issued", "spacing", "areas"),
+                    *(
+                        "punctured",
+                        "holed",
+                        "gas",
+                        "run",
+                        "rest",
+                        "left",
+                        "tears",
+                        "issued",
+                        "sprayed",
+                        "spacing",
+                        "areas",
+                    ),
                 )
             },
             crossed=self.time,
@@ -554,7 +574,7 @@ class Snapshot:
                 self._copies[name] = wp.empty_like(array)
             wp.copy(self._copies[name], array)
         self._rest = (copy.deepcopy(state.course), state.seen.contents())
-        self._scalars = (dict(state.ids), state.origin, state.time, state.frame)
+        self._scalars = (dict(state.ids), dict(state.swept), state.origin, state.time, state.frame)
 
     def restore(self) -> None:
         """Copy the saved state back."""
@@ -565,5 +585,5 @@ class Snapshot:
         course, seen = self._rest
         state.course = copy.deepcopy(course)
         state.seen.refill(seen)
-        ids, state.origin, state.time, state.frame = self._scalars
-        state.ids = dict(ids)
+        ids, swept, state.origin, state.time, state.frame = self._scalars
+        state.ids, state.swept = dict(ids), dict(swept)

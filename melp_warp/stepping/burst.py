@@ -17,6 +17,7 @@ from melp_warp.frame import ParticleFrame, beads
 from melp_warp.kernels import free_rim as kr
 from melp_warp.measure.fits import connected, nearest_distance, squares
 from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT, FreeRim
+from melp_warp.stages.record import NONE, Swept
 from melp_warp.stages.state import AMOUNT, GAUGE
 from melp_warp.stepping.breath import flow_through
 from melp_warp.stepping.rims import FEWEST, LINKS, ROUND, Rims, Thread, breaking_points, names_of
@@ -121,6 +122,7 @@ class Burst:
     def _leave(self, stored: Stored, drops: np.ndarray) -> None:
         """Let the drops of a mask leave by the walls that they have come to."""
         self._sim.state.course.rest += stored.leave("d", drops)
+        stored.swept.dry(stored.ids["d"][drops])
         for name in [name for name in stored.arrays if name.startswith("d.")]:
             stored.arrays[name] = stored.arrays[name][~drops]
         stored.ids["d"] = stored.ids["d"][~drops]
@@ -219,7 +221,18 @@ class Burst:
             "drops": state.sizes["d"],
             "drop_mass": float(state.d.mass.numpy().sum(dtype=np.float64)),
             "frame_mass": state.course.rest,
+            **({"new_drops": self._new_drops()} if self._sim.has_l else {}),
         }
+
+    def sources(self) -> dict[int, np.ndarray]:
+        """Number of each drop that there is -> numbers of the L whose liquid it holds, ascending."""
+        swept = self._sim.state.swept
+        return Swept(swept).by_drop(0) if swept else {}
+
+    def _new_drops(self) -> dict[str, list[int]]:
+        """The same of the drops of the last frame alone, as JSON can say it."""
+        new = Swept(self._sim.state.swept).by_drop(self._sim.state.course.sprayed)
+        return {str(drop): own.tolist() for drop, own in new.items()}
 
     def particles(self, which: str) -> ParticleFrame:
         """The free rims ("rims"), as beads that lie close enough to be threads, or the drops ("drops").
@@ -350,20 +363,47 @@ class Burst:
         spacing = sim.film.spacing
         moment = int(np.float64(sim.state.time).view(np.uint64))  # the same in a run that goes on from here
         rng = np.random.default_rng([self.scene.seed, moment, len(stored.arrays["f.x"])])
-        rims = Rims.of(stored.arrays)
+        rims = self._recorded(stored)
         self._break(stored, rims, rng)
         there = self._arrived(rims)
         self._collect(stored, rims, there)
         met = (rims.meet(MEET * spacing) | self._blind(stored, rims)) & ~there
         self._close(stored, rims, np.flatnonzero(met))
+        self._record(stored, rims)
         ended = rims.cut(met | there, met, POINTS * spacing)
         if met.any():
             ended += self._islands(stored, rims)
         self._spray(stored, ended)
         rims.even(POINTS * spacing, rng)
         rims.store(stored.arrays)
+        stored.swept.forget_lost()
         sim.state.course.run = 0.0
         self._clear_up(stored, rims)
+
+    def _recorded(self, stored: Stored) -> Rims:
+        """The rims of a state, with the L that they have swept up by now in its record."""
+        rims = Rims.of(stored.arrays, stored.swept)
+        self._record(stored, rims)
+        return rims
+
+    def _record(self, stored: Stored, rims: Rims) -> None:
+        """Record L that rims have taken since the last time: each is with the nearest point that runs over its film."""
+        arrays = stored.arrays
+        if stored.carriers == "e" or not len(arrays["f.x"]):
+            return
+        new = (arrays["l.behind"] == 1) & (arrays["l.mass"] > 0.0) & ~np.isin(stored.ids["l"], stored.swept["l"])
+        sides, way, half = (rims.point["region"], rims.point["other"]), rims.directions(), rims.halves()
+        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
+        for k in np.unique(arrays["l.region"][new]):
+            own = np.flatnonzero(new & (arrays["l.region"] == k))
+            points = np.flatnonzero((sides[0] == k) | (sides[1] == k))
+            if not len(points):
+                continue
+            x, place = arrays["l.x"][own].astype(np.float64), rims.point["x"][points]
+            parts = np.array_split(np.arange(len(own)), 1 + len(own) * len(points) // 2_000_000)
+            nearest = points[np.concatenate([np.argmin(squares(x[part], place), axis=1) for part in parts])]
+            along = ((x - rims.point["x"][nearest]) * way[nearest]).sum(axis=1) / half[nearest]
+            stored.swept.enter(stored.ids["l"][own], nearest, np.clip(along, -0.5, 0.5))
 
     def _clear_up(self, stored: Stored, rims: Rims) -> None:
         """Take away what the rims have left."""
@@ -441,7 +481,11 @@ class Burst:
         names = ("x", "u", "mass", "surfactant", *stored.left)
         held = {name: stored.arrays[f"{kind}.{name}"][: len(chosen)][chosen].astype(np.float64) for name in names}
         x, u, mass = (held.pop(name) for name in ("x", "u", "mass"))
-        return Thread(x, u, mass, np.full(len(x), self._sim.film.spacing), held)
+        thread = Thread(x, u, mass, np.full(len(x), self._sim.film.spacing), held)
+        if kind == "l":
+            thread.whose = stored.swept.enter(stored.ids["l"][chosen], np.full(len(x), NONE), np.zeros(len(x)))
+            thread.place = (np.cumsum(mass) - 0.5 * mass) / max(mass.sum(), 1e-300)
+        return thread
 
     def _live(self, arrays: dict[str, np.ndarray]) -> np.ndarray:
         """[n_e] the film that a rim will pass."""
@@ -464,6 +508,7 @@ class Burst:
 
     def _collect(self, stored: Stored, rims: Rims, there: np.ndarray) -> None:
         """Leave to the frame what has come to it, the points `there` (mask)."""
+        stored.swept.leave(np.flatnonzero(there))
         self._sim.state.course.rest += float(rims.point["mass"][there].sum())
         for name in stored.left:
             stored.left[name] += float(rims.point[name][there].sum())
@@ -474,7 +519,8 @@ class Burst:
         """Break threads of liquid into drops, as many as the fastest wave makes of them; sums are kept."""
         arrays, m = stored.arrays, self.scene.material
         rng = np.random.default_rng([self.scene.seed, len(arrays["d.x"]), len(threads)])
-        made = [thread.drops(m.density, m.film_tension, rng) for thread in threads if thread.mass.sum() > 0.0]
+        threads = [thread for thread in threads if thread.mass.sum() > 0.0]
+        made = [thread.drops(m.density, m.film_tension, rng) for thread in threads]
         if not made:
             return
         for name in made[0]:
@@ -483,6 +529,9 @@ class Burst:
             arrays[f"d.{name}"] = np.concatenate([was, new.astype(was.dtype)])
         numbers = stored.issue("d", len(arrays["d.x"]) - len(stored.ids["d"]))
         stored.ids["d"] = np.concatenate([stored.ids["d"], numbers])
+        for thread, drops in zip(threads, made, strict=True):
+            own, numbers = np.split(numbers, [len(drops["mass"])])
+            stored.swept.become(thread.whose, own[thread.cut_at(len(own))])
 
     def _drop_film(self, stored: Stored) -> None:
         """Take away the film that is far behind the rims."""
@@ -521,6 +570,7 @@ class Burst:
             nearest = np.argmin(squares(arrays["l.x"][lost], arrays["f.x"]), axis=1)
             for name in ("mass", "surfactant", *stored.left):
                 np.add.at(arrays[f"f.{name}"], nearest, arrays[f"l.{name}"][lost].astype(np.float64))
+            stored.swept.enter(stored.ids["l"][lost], nearest, np.zeros(len(nearest)))
 
     def _finish(self, stored: Stored, rims: Rims) -> None:
         """The last of the film and of its rims: into the frame where there is one, else into drops."""
@@ -531,6 +581,7 @@ class Burst:
         if self._sim.film.rim is not None:
             self._sim.state.course.rest += float(mass.sum()) + float(sum(one.mass.sum() for one in threads))
             stored.leave(kind, left)
+            stored.swept.leave(np.arange(len(arrays["f.x"])))
             for name in stored.left:
                 stored.left[name] += float(sum(one.held[name].sum() for one in threads))
         else:

@@ -42,7 +42,7 @@ MOST_TOLD = 6
 MAY_CHANGE = ("dt", "material.", "surroundings.", "numerics.", "forces.", "bursting.", "slow_")
 """Numbers of a scene that may change during a run, or what their names begin with."""
 
-OF_BURSTS = ("f.", "d.", "e.behind", "e.swept", "l.behind", "ids.d")
+OF_BURSTS = ("f.", "d.", "e.behind", "e.swept", "l.behind", "ids.d", "swept.")
 """Arrays, or what their names begin with, of scenes in which films may burst: there is nothing in them at the start."""
 
 STAY = ("material.thickness", "material.surfactant", "numerics.layers", "numerics.support", "numerics.skin")

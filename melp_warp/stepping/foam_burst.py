@@ -87,7 +87,7 @@ class FoamBurst(Burst):
         Those on its partitions run on over the films beyond: these are free films now, and their bubbles are open.
         """
         arrays, label = stored.arrays, stored.labels[k]
-        rims = Rims.of(arrays)
+        rims = self._recorded(stored)
         gone = (rims.point["region"] == k) & (rims.point["other"] < 0)
         if gone.any():
             self._spray(stored, rims.cut(gone, gone, 0.0))
@@ -95,6 +95,7 @@ class FoamBurst(Burst):
         region, other = arrays["f.region"], arrays["f.other"]
         turned = (region == k) & (other >= 0)  # seen from the other side from now on
         arrays["f.normal"][turned] *= -1.0
+        stored.swept.turn(np.flatnonzero(turned))
         after, before = arrays["f.after"], arrays["f.before"]
         after[turned], before[turned] = before[turned], after[turned]
         region[turned] = other[turned]
@@ -110,7 +111,7 @@ class FoamBurst(Burst):
 
         What is behind them is a part of the partition, unless there are other tears that it may belong to.
         """
-        rims, arrays = Rims.of(stored.arrays), stored.arrays
+        rims, arrays = self._recorded(stored), stored.arrays
         pair = (k, other)
         gone = np.isin(rims.point["region"], pair) & np.isin(rims.point["other"], pair)
         if gone.any():
@@ -191,7 +192,7 @@ class FoamBurst(Burst):
             array = getattr(getattr(state, kind), name, None)
             if array is not None:
                 array.assign(arrays[f"{kind}.{name}"])
-        state.ids["d"] = stored.ids["d"]
+        state.ids["d"], state.swept = stored.ids["d"], stored.swept.held
         state.course.left = stored.left
         return True
 
@@ -264,6 +265,7 @@ class FoamBurst(Burst):
             momentum = (point["mass"][own, None] * point["u"][own]).sum(axis=0)
             self._push(arrays, (k, j), momentum)
             self._gave = True
+        stored.swept.leave(points)
 
     def _clear_up(self, stored: Stored, rims: Rims) -> None:
         """Nothing: what is behind the rims goes once all of its film is torn."""

@@ -265,7 +265,7 @@ class Respacing:
         """Set the run up for what is stored: E evened out on the surface that was, with what was at their places."""
         sim = self._sim
         state = state_of(sim.scene, stored.arrays, len(stored.labels), sim.device)
-        state.ids, state.course = stored.ids, sim.state.course
+        state.ids, state.swept, state.course = stored.ids, stored.swept.held, sim.state.course
         state.course.issued = stored.issued
         for name, array in state.remembered.items():
             if array.shape == sim.state.remembered[name].shape:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from melp_warp.measure.fits import spans, turned
+from melp_warp.stages.record import Swept, nothing
 
 FEWEST = 4
 """Points of the shortest rim; E of the smallest film."""
@@ -60,6 +61,8 @@ class Thread:
         mass: [n] kg.
         length: [n] share of the thread's length, m.
         held: name -> [n] surfactant (mol) and what the scene declares.
+        whose: [m] where the L whose liquid it is are in the record, see `Swept`.
+        place: [m] where along the thread they are, as a share of its mass, 0 to 1.
     """
 
     x: np.ndarray
@@ -67,6 +70,8 @@ class Thread:
     mass: np.ndarray
     length: np.ndarray
     held: dict[str, np.ndarray]
+    whose: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    place: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def drops(self, density: float, tension: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """What the thread breaks into: drops as far apart as its fastest wave is long, which keep all sums.
@@ -95,6 +100,10 @@ class Thread:
             **{name: share @ held for name, held in self.held.items()},
         }
 
+    def cut_at(self, count: int) -> np.ndarray:
+        """[m] which of `count` drops each of the L whose liquid it is goes to."""
+        return np.clip((self.place * count).astype(int), 0, count - 1)
+
 
 @dataclass
 class Chain:
@@ -112,16 +121,17 @@ class Rims:
         chains: their order.
         held: names of what their liquid holds that adds up, surfactant and what the scene declares.
         sums: the same with mass and inertia.
+        swept: the record of the L whose liquid they hold.
     """
 
-    def __init__(self, point: dict[str, np.ndarray], chains: list[Chain]):
-        self.point, self.chains = point, chains
+    def __init__(self, point: dict[str, np.ndarray], chains: list[Chain], swept: Swept):
+        self.point, self.chains, self.swept = point, chains, swept
         more = [name for name in point if name not in POINT]
         self.held, self.sums = ("surfactant", *more), (*SUMS, *more)
 
     @classmethod
-    def of(cls, arrays: dict[str, np.ndarray]) -> Rims:
-        """The rims of a stored state, in float64."""
+    def of(cls, arrays: dict[str, np.ndarray], swept: Swept | None = None) -> Rims:
+        """The rims of a stored state, in float64, with its record."""
         point = {name: arrays[f"f.{name}"].astype(np.float64) for name in names_of(arrays)}
         after, before = arrays["f.after"], arrays["f.before"]
         left, chains = np.ones(len(after), dtype=bool), []
@@ -133,20 +143,22 @@ class Rims:
                     index.append(k)
                     k = int(after[k])
                 chains.append(Chain(np.array(index), k >= 0))
-        return cls(point, chains)
+        return cls(point, chains, swept or Swept(nothing()))
 
     def store(self, arrays: dict[str, np.ndarray]) -> None:
-        """Put the rims into a stored state, chain by chain."""
+        """Put the rims into a stored state, chain by chain, and number their points so."""
         order = np.concatenate([chain.index for chain in self.chains] or [np.zeros(0, int)]).astype(int)
+        self.swept.renumber(order, len(self.point["x"]))
         for name in self.point:
             arrays[f"f.{name}"] = self.point[name][order].astype(arrays[f"f.{name}"].dtype)
+        self.point = {name: values[order] for name, values in self.point.items()}
         after, before, first = np.full(len(order), -1), np.full(len(order), -1), 0
         for chain in self.chains:
             k = first + np.arange(len(chain.index))
             after[k[:-1]], before[k[1:]] = k[1:], k[:-1]
             if chain.loop:
                 after[k[-1]], before[k[0]] = k[0], k[-1]
-            first += len(k)
+            chain.index, first = k, first + len(k)
         arrays["f.after"], arrays["f.before"] = after.astype(np.int32), before.astype(np.int32)
 
     def runs(self, chosen: np.ndarray) -> Iterator[np.ndarray]:
@@ -169,7 +181,11 @@ class Rims:
 
     def _thread(self, index: np.ndarray, half: np.ndarray) -> Thread:
         held = {name: self.point[name][index] for name in self.held}
-        return Thread(*(self.point[name][index] for name in ("x", "u", "mass")), half[index], held)
+        x, u, mass = (self.point[name][index] for name in ("x", "u", "mass"))
+        whose, order = self.swept.of(index), np.argsort(index)
+        at = order[np.searchsorted(index, self.swept["rim"][whose], sorter=order)]
+        place = (np.cumsum(mass)[at] + (self.swept["along"][whose] - 0.5) * mass[at]) / max(mass.sum(), 1e-300)
+        return Thread(x, u, mass, half[index], held, whose, place)
 
     def beads(self, chain: Chain, density: float, spacing: float) -> tuple[np.ndarray, ...]:
         """Places, velocities, widths and normals along a chain, a radius apart, at least `BEADS` in a spacing."""
@@ -213,15 +229,19 @@ class Rims:
 
     def conormals(self) -> np.ndarray:
         """[n, 3] unit vectors from the hole into the film."""
-        out = np.zeros_like(self.point["x"])
+        across = np.cross(self.directions(), self.point["normal"])
+        return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
+
+    def directions(self) -> np.ndarray:
+        """[n, 3] from the point before to the point after, m; 0 for a point alone and where it is in no chain."""
+        found = np.zeros_like(self.point["x"])
         for chain in self.chains:
             x = self.point["x"][chain.index]
             along = np.roll(x, -1, axis=0) - np.roll(x, 1, axis=0)
             if not chain.loop and len(x) > 1:
                 along[0], along[-1] = x[1] - x[0], x[-1] - x[-2]
-            across = np.cross(along, self.point["normal"][chain.index])
-            out[chain.index] = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
-        return out
+            found[chain.index] = along
+        return found
 
     def meet(self, reach: float) -> np.ndarray:
         """[n] whether points have come within `reach` (m) of a rim that runs against them."""
@@ -344,6 +364,7 @@ class Rims:
             point["u"][a] = ((1.0 - weight) * point["u"][a] + weight * point["u"][b]) / turned
             for name in self.sums:
                 point[name][a] += point[name][b]
+            self.swept.join(a, b)
             point["growth"][a] = max(point["growth"][a], point["growth"][b])
             index.pop((k + 1) % len(index))
             k += 1
@@ -374,4 +395,6 @@ class Rims:
         new = len(point["x"]) + np.arange(len(where))
         for name, values in point.items():
             point[name] = np.concatenate([values, made[name]])
+        for ends in zip(a.tolist(), b.tolist(), new.tolist(), strict=True):
+            self.swept.put_in(*ends)
         chain.index = np.insert(chain.index, where + 1, new)

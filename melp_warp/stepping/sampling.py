@@ -324,10 +324,10 @@ def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tupl
         film: the film before it.
     """
     state = state_of(scene, stored.arrays, len(stored.labels), film.device)
-    state.ids = stored.ids
+    state.ids, state.swept = stored.ids, stored.swept.held
     stays = (
         *("limit", "cap", "speed", "pending", "unborn", "shown", "ledger", "punctured", "holed", "run", "rest"),
-        *("issued", "spacing", "areas"),
+        *("issued", "sprayed", "spacing", "areas"),
     )
     kept = {name: getattr(before.course, name) for name in stays}
     own = {"labels": stored.labels, "spilled": stored.spilled, "tears": stored.tears, "left": stored.left}
@@ -355,8 +355,21 @@ def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tup
         film: the film before it.
     """
     state = state_of(scene, stored.arrays, len(stored.labels), film.device, holed=True)
-    state.ids = stored.ids
-    stays = ("limit", "cap", "speed", "reach", "shown", "punctured", "gas", "rest", "run", "issued", "spacing")
+    state.ids, state.swept = stored.ids, stored.swept.held
+    stays = (
+        "limit",
+        "cap",
+        "speed",
+        "reach",
+        "shown",
+        "punctured",
+        "gas",
+        "rest",
+        "run",
+        "issued",
+        "sprayed",
+        "spacing",
+    )
     kept = {name: getattr(before.course, name) for name in stays}
     own = {"labels": stored.labels, "left": stored.left}
     state.course = Course(**kept, crossed=state.time, mixed=state.time, holed=True, **own)

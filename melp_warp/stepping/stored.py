@@ -33,7 +33,7 @@ PLACES = ("b.mirror", *(f"memory.{name}" for name in ("x", "mirror", "wide", "x_
 LARGEST_SIZE = 1e6
 """Largest spacing or radius of a film, m, and room of a list."""
 
-LENGTHS = {"e": "e.mass", "n": "e.x", "l": "l.x", "f": "f.x", "d": "d.x"}
+LENGTHS = {"e": "e.mass", "n": "e.x", "l": "l.x", "f": "f.x", "d": "d.x", "h": "swept.l"}
 """Arrays that say how many particles there are, by the names of `State.sizes`."""
 
 
@@ -76,6 +76,10 @@ def check_stored(
     for name in ("f.after", "f.before"):
         if name in stored:
             _check_index(name, stored[name], sizes["f"], low=-1)
+    if "swept.l" in stored:
+        _check_ids("swept.l", stored["swept.l"], course.issued["l"])
+        _check_index("swept.rim", stored["swept.rim"], sizes["f"], low=-1)
+        _check_index("swept.drop", stored["swept.drop"], course.issued["d"], low=-1)
     for name, most in (("e.region", regions), ("l.region", regions), ("memory.home", sizes["e"])):
         if name in stored and regions:
             _check_index(name, stored[name], most)

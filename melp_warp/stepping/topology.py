@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from melp_warp.measure.fits import squares
+from melp_warp.stages.record import Swept
 from melp_warp.stages.state import AMOUNT, GAS_SLOTS, GAUGE, VOLUME, State
 
 AMOUNTS = ("mass", "surfactant")
@@ -32,6 +33,7 @@ class Stored:
         amounts: what particles hold that adds up.
         tears, left: films that are torn, and what left of what is declared, see `Course`.
         issued: how many numbers were given to particles of each set so far, see `Course`.
+        swept: the record of L whose liquid rims and drops hold.
     """
 
     arrays: dict[str, np.ndarray]
@@ -42,16 +44,18 @@ class Stored:
     tears: list[list[int]] = field(default_factory=list)
     left: dict[str, float] = field(default_factory=dict)
     issued: dict[str, int] = field(default_factory=dict)
+    swept: Swept = field(default_factory=lambda: Swept({}))
 
     @classmethod
     def of(cls, state: State) -> Stored:
         """The state as it is now; what stages remember of it is of no use to another one."""
         stored = state.numpy()
-        arrays = {k: a for k, a in stored.items() if not k.startswith(("memory.", "ids."))}
+        arrays = {k: a for k, a in stored.items() if not k.startswith(("memory.", "ids.", "swept."))}
         if "memory.area" in stored:
             arrays["memory.area"] = stored["memory.area"]  # found from the L at the start
         course, amounts = state.course, (*AMOUNTS, *state.carried)
         own = {"tears": [list(one) for one in course.tears], "left": dict(course.left), "issued": dict(course.issued)}
+        own["swept"] = Swept({name: array.copy() for name, array in state.swept.items()})
         return cls(arrays, dict(state.ids), list(course.labels), course.spilled, amounts, **own)
 
     @property
