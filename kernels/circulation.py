@@ -124,7 +124,10 @@ def find_deficit_e(
     # outputs
     deficit: wp.array(dtype=float),
 ):
-    """Circulation that the L carry near each E less that of its velocity, Omega_E - a n.curl_s u. [n_e], m^2/s."""
+    """Circulation that the L carry near each E less that of its velocity, Omega_E - a n.curl_s u. [n_e], m^2/s.
+
+    The gradient is over E alone: mirrored beyond a rim, a film that turns as a whole would seem to turn by half there.
+    """
     i = rows.first + wp.tid()
     deficit[i] = circulation[i] - area[i] * curl_row(i, normal[i], u, rows, gradient)
 

@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.native import Blocks, exchange_blocks, vec5, write_held, write_rate
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.sph import tangent_basis
+from melp_warp.kernels.sph import kernel_w, tangent_basis
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,28 +30,86 @@ WOBBLE = wp.constant(0.15)
 """The same as a share of the vorticity: liquid that turns as a whole has as much from transfers, and near a rim."""
 
 
-@wp.func
-def shear_of(affine: wp.mat33, n: wp.vec3) -> float:
-    """Shear rate sqrt(2 S:S) of a velocity gradient along the film, without what it widens or narrows, 1/s.
+@wp.kernel
+def find_slope_e(
+    u: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    gradient: wp.array(dtype=wp.vec3),
+    # outputs
+    slope: wp.array(dtype=wp.mat33),
+):
+    """Velocity gradient at E, over E alone: beyond a rim a mirrored velocity would make a shear of rigid rotation.
+
+    Args:
+        u: [n] m/s.
+        rows: E:E neighbours.
+        gradient: [pairs] gradient weights over E alone, 1/m.
+        slope: [n_e] slope d is the change of u over d, 1/s.
+    """
+    i = rows.first + wp.tid()
+    total = wp.mat33()
+    for k in range(rows.start[i], rows.stop[i]):
+        total += wp.outer(u[rows.index[k]] - u[i], gradient[k])
+    slope[i] = total
+
+
+@wp.kernel
+def smooth_slope_e(
+    x: wp.array(dtype=wp.vec3),
+    slope: wp.array(dtype=wp.mat33),
+    rows: Neighbors,
+    r: float,
+    # outputs
+    smooth: wp.array(dtype=wp.mat33),
+):
+    """Mean velocity gradient of the E around, by W: what L that lie unevenly make of it differs from E to E.
+
+    Args:
+        x: [n] m.
+        slope: [n_e] 1/s.
+        rows: E:E neighbours.
+        r: support radius, m.
+        smooth: [n_e] 1/s.
+    """
+    i = rows.first + wp.tid()
+    weight = kernel_w(0.0, r)
+    total = weight * slope[i]
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        if j < slope.shape[0]:
+            w = kernel_w(wp.length(x[j] - x[i]), r)
+            weight += w
+            total += w * slope[j]
+    smooth[i] = total / weight
+
+
+@wp.kernel
+def find_shear_e(
+    slope: wp.array(dtype=wp.mat33),
+    normal: wp.array(dtype=wp.vec3),
+    # outputs
+    rate: wp.array(dtype=float),
+):
+    """Rate sqrt(2 S:S) at which the flow along the film shears, without what it widens or narrows. [n_e], 1/s.
 
     What nothing but noise makes of it is taken off.
     """
-    e1, e2 = tangent_basis(n)
-    along = affine * e1
-    beside = affine * e2
+    i = wp.tid()
+    e1, e2 = tangent_basis(normal[i])
+    along = slope[i] * e1
+    beside = slope[i] * e2
     stretch = wp.dot(e1, along) - wp.dot(e2, beside)
     shear = wp.dot(e1, beside) + wp.dot(e2, along)
     turn = wp.abs(wp.dot(e2, along) - wp.dot(e1, beside))
-    rate = wp.sqrt(stretch * stretch + shear * shear)
-    return wp.max(rate - SLOWEST - WOBBLE * turn, 0.0)
+    rate[i] = wp.max(wp.sqrt(stretch * stretch + shear * shear) - SLOWEST - WOBBLE * turn, 0.0)
 
 
 @wp.kernel
 def give_held_l(
     x: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
-    affine: wp.array(dtype=wp.mat33),
-    normal: wp.array(dtype=wp.vec3),
+    home: wp.array(dtype=wp.int32),
+    shear: wp.array(dtype=float),
     mass: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
     eta: wp.array(dtype=float),
@@ -69,8 +127,8 @@ def give_held_l(
     Args:
         x: [n_l] m.
         u: [n_l] carried velocity, m/s.
-        affine: [n_l] velocity gradient, 1/s.
-        normal: [n_l] unit normals.
+        home: [n_l] nearest E of each L.
+        shear: [n_e] from `find_shear_e`, 1/s.
         mass: [n_l] kg.
         surfactant: [n_l] mol.
         eta: [n_l] m.
@@ -84,7 +142,7 @@ def give_held_l(
     """
     i = wp.tid()
     area = mass[i] / (density * eta[i])
-    rate = MOST * (1.0 - wp.exp(-strength * shear_of(affine[i], normal[i]) * time[0] / MOST))
+    rate = MOST * (1.0 - wp.exp(-strength * shear[home[i]] * time[0] / MOST))
     mine = wp.vec4(1.0, 0.0, 0.0, 0.0)
     lost = area <= 0.0
     if behind:

@@ -81,11 +81,9 @@ class Circulation:
         """Give E the rotation that their velocity lacks."""
         film, e, geometry, rows = self.film, self.state.e, self.geometry, self.lists.ee.rows
         self.gather()
-        if self.rim is not None:
-            self.rim.mirror_velocity()
         film.launch_e(
             kc.find_deficit_e,
-            [e.u, e.normal, self.carried, geometry.area, rows, geometry.gradient],
+            [e.u, e.normal, self.carried, geometry.area, rows, geometry.inner_gradient],
             [self._deficit],
         )
         if self._mean is not None:

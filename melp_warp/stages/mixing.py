@@ -12,11 +12,15 @@ from melp_warp.kernels import mixing as kx
 from melp_warp.kernels.native import vec5
 from melp_warp.stages.carriage import Carriage
 from melp_warp.stages.film import Film
+from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.state import State
 
 WAY = 1.0
 """Way of the fastest particle from one pass to the next, E spacings."""
+
+SMOOTHINGS = 3
+"""Times that the velocity gradient is made smooth: what uneven L make of it beside a rim is then below a twentieth."""
 
 
 class Mixing:
@@ -30,14 +34,16 @@ class Mixing:
         due: whether L mix before the step to come.
     """
 
-    needs = ("lists", "carriage")
+    needs = ("lists", "geometry", "carriage")
     kernels = ("mixing",)
 
-    def __init__(self, film: Film, state: State, lists: NeighborLists, carriage: Carriage | None):
-        self.film, self.state, self.lists, self.carriage = film, state, lists, carriage
+    def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, carriage: Carriage | None):
+        self.film, self.state, self.lists, self.geometry, self.carriage = film, state, lists, geometry, carriage
         self.due, self._time = False, Setting(film.device)
         self._pack, self._held = film.zeros(80 * math.ceil(film.n_l / 8)), film.zeros(film.n_l, wp.vec4)
         self._found, self._spent = film.zeros(film.n_l, vec5), film.zeros(1, wp.int32)
+        self._shear = film.zeros(film.n_e)
+        self._slopes = [film.zeros(film.n_e, wp.mat33) for _ in range(2)]
         self._spacing = film.spacing * math.sqrt(film.n_e / film.n_l)
 
     def prepare(self, dt: float) -> None:
@@ -52,11 +58,22 @@ class Mixing:
     def apply(self) -> None:
         """Let L mix for the time since they last did, whatever the step to come; follows the lists."""
         lag, more = self.state.l, self.carriage
+        self._find_shear()
         for name in more.of_e if more is not None else ():
             more.spare()
             amount = self.state.carried[name]
             self._mix(amount, [more.u, more.mass, amount, more.eta])
         self._mix(lag.surfactant, [lag.u, lag.mass, lag.surfactant, lag.eta])
+
+    def _find_shear(self) -> None:
+        """Rate at which the flow shears, from its gradient at E, made smooth."""
+        film, e, rows = self.film, self.state.e, self.lists.ee.rows
+        slope, other = self._slopes
+        film.launch_e(kx.find_slope_e, [e.u, rows, self.geometry.inner_gradient], [slope])
+        for _ in range(SMOOTHINGS):
+            film.launch_e(kx.smooth_slope_e, [e.x, slope, rows, film.r], [other])
+            slope, other = other, slope
+        film.launch_e(kx.find_shear_e, [slope, e.normal], [self._shear])
 
     def _mix(self, amount: wp.array, held: list) -> None:
         """Let L exchange what they have, `held`, with an `amount` [n_l] of it."""
@@ -64,7 +81,7 @@ class Mixing:
         film.launch_l(
             kx.give_held_l,
             [
-                *(lag.x, lag.u, lag.affine, lag.normal, lag.mass, amount, lag.eta),
+                *(lag.x, lag.u, lists.le.home, Shared(self._shear), lag.mass, amount, lag.eta),
                 *(film.material.density, lists.el.place, lag.behind, film.numerics.mixing, self._time.array),
             ],
             [Shared(self._pack), self._held],
