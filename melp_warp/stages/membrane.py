@@ -122,7 +122,7 @@ class Membrane:
 
     def solve(self, dt: wp.array) -> None:
         """Advance the normal velocity of E by dt and set `u_mid`."""
-        if self.film.features.closed:
+        if self.film.features.floats:
             self._find_motion(self.found)
             copy(self.start, self.state.motion)
             e = self.state.e
@@ -160,7 +160,7 @@ class Membrane:
 
     def start_motion(self) -> None:
         """Take the translation of the film at the start of a run from its velocity."""
-        if self.film.features.closed:
+        if self.film.features.floats:
             self._find_motion(self.state.motion)
 
     def _find_motion(self, motion: wp.array) -> None:
@@ -202,7 +202,7 @@ class Membrane:
                 [self.external],
             )
         inertia = self.forces.inertia
-        if film.features.closed:
+        if film.features.floats:
             sums = [self.moment, self.inertia, self.net, self.net_external, self.lifted]
             film.launch_parts(
                 ko.net_force_chunks,

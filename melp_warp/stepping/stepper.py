@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import reduce
 from itertools import chain
 from operator import add
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -23,6 +24,25 @@ from melp_warp.stages.film import Film
 from melp_warp.stages.notices import Notices
 from melp_warp.stages.state import State
 from melp_warp.stepping.parts import CARRIERS, parts_of, stages_of
+
+if TYPE_CHECKING:
+    from melp_warp.stages.advance import EulerianAdvance, LagrangianAdvance
+    from melp_warp.stages.air_range import AirRange
+    from melp_warp.stages.carriage import Carriage
+    from melp_warp.stages.circulation import Circulation
+    from melp_warp.stages.drag import AirDrag
+    from melp_warp.stages.exchange import Exchange
+    from melp_warp.stages.foam import FoamMembrane
+    from melp_warp.stages.forces import Forces
+    from melp_warp.stages.free_rim import TornFilm
+    from melp_warp.stages.geometry import Geometry
+    from melp_warp.stages.membrane import Membrane
+    from melp_warp.stages.mixing import Mixing
+    from melp_warp.stages.neighbors import NeighborLists
+    from melp_warp.stages.rim import Rim
+    from melp_warp.stages.surfactant import Fields, Tangential
+    from melp_warp.stages.transfer import Transfer
+    from melp_warp.stepping.budget import Budget
 
 GAS_LAW = 1e-3
 """Largest relative error of p V = n R T at the end of a frame."""
@@ -52,6 +72,25 @@ class Stepper:
         wall: seconds spent in each stage since the last reset; not known where a step is two graphs.
         accounts: what became of the solves of each kind in the last frame, for all but the redistribution.
     """
+
+    lists: NeighborLists
+    geometry: Geometry
+    fields: Fields
+    edge: TornFilm | None
+    forces: Forces
+    rim: Rim | None
+    transfer: Transfer | None
+    circulation: Circulation | None
+    carriage: Carriage | None
+    mixing: Mixing | None
+    drag: AirDrag | None
+    membrane: Membrane | FoamMembrane | None
+    air_range: AirRange | None
+    tangential: Tangential | None
+    e_advance: EulerianAdvance | None
+    l_advance: LagrangianAdvance | None
+    exchange: Exchange | None
+    budget: Budget | None
 
     def __init__(self, film: Film, state: State):
         self.film, self.state = film, state
