@@ -53,17 +53,18 @@ class _Trade(Stage):
         return nullcontext() if budget is None else budget.weigh_held()
 
 
-class Exchange(_Trade):
+class CrossPartitions(_Trade):
     """Liquid crosses partitions."""
 
     name, equation, needs = "exchange", "(27), (28)", ("exchange",)
+    writes = (*_Trade.writes, "l.circulation")
 
     def trade(self) -> None:
         """Let it cross."""
         self.part.apply(self.stepper.dt.array)
 
 
-class Mix(_Trade):
+class MixLiquid(_Trade):
     """Near L mix where the flow shears them."""
 
     name, needs = "mixing", ("mixing",)
@@ -222,7 +223,7 @@ class PassToL(Stage):
     name, equation = "e_to_l", "(16)-(18), (8)"
     velocity = "at the end of the step"
     needs = ("transfer",)
-    writes = ("l.u", "l.v", "l.affine", "l.normal", "l.eta", "e.u")
+    writes = ("l.u", "l.v", "l.affine", "l.normal", "l.eta", "l.circulation", "e.u")
     of_l = True
 
     def run(self) -> None:
@@ -313,7 +314,7 @@ class AdvanceL(Stage):
     name, equation = "advance_l", "Algorithm 7"
     velocity = "the same; L have moved"
     needs = ("l_advance",)
-    writes = ("l.x",)
+    writes = ("l.x", "l.u", "l.v", "l.mass", "l.surfactant")
     of_l = True
     later = True
 
@@ -334,8 +335,8 @@ class AdvanceL(Stage):
 
 TABLE = (
     FindNeighbors,
-    Exchange,
-    Mix,
+    CrossPartitions,
+    MixLiquid,
     PassToE,
     SolveNormal,
     SolveTangential,
