@@ -65,6 +65,25 @@ def beads(x, u, width, normal, origin: np.ndarray, ids: np.ndarray | None = None
 
 
 @dataclass
+class CurveFrame:
+    """Curves at one instant, piecewise straight. SI units.
+
+    Attributes:
+        points: [n, 3] float32, m, from `origin`, curve by curve; one that is closed ends where it begins.
+        velocities: [n, 3] float32, m/s, of the points.
+        counts: [k] int32, points of each curve, two at least.
+        widths: [n] float32, m, diameters.
+        origin: where the points are measured from, m; the same in all frames of a run.
+    """
+
+    points: np.ndarray
+    velocities: np.ndarray
+    counts: np.ndarray
+    widths: np.ndarray
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass
 class MeshFrame:
     """The surface of one region at one instant, as triangles. SI units, except thickness (nanometres).
 

@@ -17,7 +17,7 @@ from melp_warp.device.interrupt import let_through
 from melp_warp.device.launch import compile_kernels, launch
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
 from melp_warp.features import Features
-from melp_warp.frame import ParticleFrame
+from melp_warp.frame import CurveFrame, ParticleFrame
 from melp_warp.kernels import advance as ka
 from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
 from melp_warp.stages.film import THINNEST, Film
@@ -492,8 +492,11 @@ class Simulation:
         v = particles.u.numpy()[: particles.count]
         return math.sqrt(2.0 * tension / m.areal_mass) + float(np.sqrt((v**2).sum(axis=1)).max()) + 1e-9
 
-    def particles(self, which: str) -> ParticleFrame:
-        """The L ("l"), E ("e"), free rims ("rims"), drops ("drops") or the scene's own by name, as NumPy arrays."""
+    def particles(self, which: str) -> ParticleFrame | CurveFrame:
+        """The L ("l"), E ("e"), free rims ("rims"), drops ("drops") or the scene's own by name, as NumPy arrays.
+
+        "rim_curves" are the free rims as curves.
+        """
         return particles_of(self, which)
 
     def diagnostics(self) -> dict:

@@ -136,7 +136,7 @@ class Moment:
         self._shown: dict[str, ParticleFrame] = {}
 
     def particles(self, which: str) -> ParticleFrame:
-        """L ("l"), E ("e"), free rims ("rims") or drops ("drops"); velocities are those of what is shown."""
+        """L ("l"), E ("e"), free rims ("rims", as "rim_curves") or drops ("drops"); velocities are of what is shown."""
         if which not in self._shown:
             self._shown[which] = self._slowed(self._particles(which))
         return self._shown[which]

@@ -13,7 +13,7 @@ import numpy as np
 from melp_warp.bursting import Puncture
 from melp_warp.device.launch import launch
 from melp_warp.errors import SimulationError
-from melp_warp.frame import ParticleFrame, beads
+from melp_warp.frame import CurveFrame, ParticleFrame, beads
 from melp_warp.kernels import free_rim as kr
 from melp_warp.measure.fits import connected, nearest_distance, squares
 from melp_warp.stages.free_rim import REACH, RIM_CFL, SIGHT, FreeRim
@@ -255,6 +255,20 @@ class Burst:
         frame = beads(x + shift, u, width, normal, sim.origin, np.arange(len(x)))
         frame.region = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part[0]) for part in parts])
         return frame
+
+    def curves(self) -> CurveFrame:
+        """The free rims as curves, through the same points as the beads; a closed one ends where it begins."""
+        sim, rims = self._sim, self._rims
+        parts = []
+        for chain in rims.chains:
+            columns = rims.beads(chain, self.scene.material.density, sim.film.spacing)[:3]
+            parts.append([np.concatenate([c, c[:1]]) if chain.loop else c for c in columns])
+        parts = parts or [[np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)]]
+        x, u, width = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        counts = np.array([len(part[0]) for part in parts if len(part[0])], dtype=np.int32)
+        x = x + (sim.state.origin - sim.origin)
+        x, u, width = (values.astype(np.float32) for values in (x, u, width))
+        return CurveFrame(x, u, counts, width, tuple(sim.origin.tolist()))
 
     def sums(self) -> np.ndarray:
         """The sums of `kernels.diagnostics.summarize_chunks` over the film that is there. [12]."""

@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from melp_warp.frame import BLACK_FILM, ParticleFrame, beads
+from melp_warp.frame import BLACK_FILM, CurveFrame, ParticleFrame, beads
 
 if TYPE_CHECKING:
     from melp_warp.simulation import Simulation
 
 
-def particles_of(sim: Simulation, which: str) -> ParticleFrame:
-    """The L ("l"), E ("e"), free rims ("rims"), drops ("drops") or the scene's own by name, as NumPy arrays."""
+def particles_of(sim: Simulation, which: str) -> ParticleFrame | CurveFrame:
+    """What `Simulation.particles` gives."""
+    if which == "rim_curves":
+        return sim.burst.curves()
     if which in ("rims", "drops"):
         return sim.burst.particles(which)
     if which in sim.state.sets:

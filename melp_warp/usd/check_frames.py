@@ -22,6 +22,7 @@ from melp_warp.usd.schema import (
     METADATA_KEY,
     MOST_REGIONS,
     PACKED_NORMALS,
+    RIM_CURVES,
     ROOT,
     THICKNESS_UNIT,
     WHOLE,
@@ -124,7 +125,8 @@ def _check_arrays(
     where, problems = f"{name}: /World/{prim}", []
     if "points" not in arrays:
         return problems
-    count, faces = len(arrays["points"]), len(arrays.get("faceVertexCounts", ()))
+    count = len(arrays["points"])
+    faces = len(arrays.get("curveVertexCounts" if prim == RIM_CURVES else "faceVertexCounts", ()))
     for attribute in attributes[1:-1]:
         array, wanted = arrays.get(attribute.name), entries_of(attribute, count, faces)
         if array is not None and len(array) != wanted and not attribute.name.startswith("faceVertex"):
@@ -153,6 +155,13 @@ def _check_whole_arrays(arrays: dict, rims: int) -> list[str]:
         return problems
     fields = {a.field: arrays[a.name] for a in attributes_of(WHOLE) if a.field}
     return check_whole(WholeFrame(**fields | {"faces": fields["faces"].reshape(-1, 3)}), rims)
+
+
+def _check_curves(arrays: dict, metadata: dict) -> list[str]:
+    counts, points = arrays["curveVertexCounts"], len(arrays["points"])
+    if counts.min(initial=2) < 2 or counts.sum(dtype=np.int64) != points:
+        return [f"must be two or more each and {points} in all, the least is {counts.min(initial=2)}"]
+    return []
 
 
 def _check_ids(arrays: dict, metadata: dict) -> list[str]:
@@ -244,6 +253,7 @@ def _check_extent(arrays: dict, metadata: dict) -> list[str]:
 
 
 _RULES = (
+    ("curveVertexCounts", _check_curves),
     ("ids", _check_ids),
     ("widths", _check_widths),
     ("normals", _check_normals),

@@ -19,7 +19,7 @@ from melp_warp.usd.schema import (
     Attribute,
     Layout,
     attributes_of,
-    is_mesh,
+    fixed_of,
     layout_of,
     with_rows,
 )
@@ -105,9 +105,9 @@ def check_root(root, prims: list[str]) -> list[str]:
 
 
 def check_fixed(name: str, layer, prim: str) -> list[str]:
-    """What meshes say once for all frames."""
+    """What meshes and curves say once for all frames."""
     problems = []
-    for attribute, wanted in (("subdivisionScheme", "none"), ("doubleSided", True)) if is_mesh(prim) else ():
+    for attribute, _, wanted in fixed_of(prim):
         spec = layer.GetAttributeAtPath(f"/World/{prim}.{attribute}")
         problems += expect(f"{name}: /World/{prim}.{attribute}", spec.default if spec else None, wanted)
     return problems

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from melp_warp.errors import SimulationError, require
-from melp_warp.frame import ParticleFrame, WholeFrame
+from melp_warp.frame import CurveFrame, ParticleFrame, WholeFrame
 from melp_warp.usd.schema import (
     ATTRIBUTES,
     LARGEST,
@@ -32,8 +32,8 @@ def check_carried(layout: Layout) -> None:
 
 def check_arrays(label: str, frame: Frame, attributes: Sequence[Attribute]) -> None:
     """Refuse what USD would take silently: wrong shapes and types, NaN, negative thickness, no such corner."""
-    count, meshed = len(frame.points), not isinstance(frame, ParticleFrame)
-    many = len(frame.faces) if meshed and isinstance(frame.faces, np.ndarray) else 0
+    count, parts = len(frame.points), getattr(frame, "faces", getattr(frame, "counts", None))
+    many = len(parts) if isinstance(parts, np.ndarray) else 0
     stored = [attribute for attribute in attributes if attribute.field]
     for attribute in stored:
         array = array_of(frame, attribute)
@@ -54,7 +54,11 @@ def check_arrays(label: str, frame: Frame, attributes: Sequence[Attribute]) -> N
         if len(array) and array.min() < 0.0:
             at = int(np.argmin(array))
             raise SimulationError(f"{label}.{field} is negative at {_name_of(frame, at)}: {array[at]}")
-    if meshed:
+    if isinstance(frame, CurveFrame):
+        fit = frame.counts.min(initial=2) >= 2 and frame.counts.sum() == count
+        require(bool(fit), f"{label}.counts", frame.counts.tolist()[:20], f"two or more each, {count} in all")
+        return
+    if not isinstance(frame, ParticleFrame):
         low, high = frame.faces.min(initial=0), frame.faces.max(initial=-1)
         require(low >= 0 and high < count, f"{label}.faces", (int(low), int(high)), f"corners from 0 to {count - 1}")
         return

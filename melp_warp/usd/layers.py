@@ -17,11 +17,13 @@ from melp_warp.usd.packing import pack_colors, pack_normals, round_widths
 from melp_warp.usd.schema import (
     CLIP_TEMPLATE,
     FILM_SETS,
+    FREE_RIMS,
     LARGEST,
     MANIFEST,
     METADATA_KEY,
     PLAIN,
     RIM,
+    RIM_CURVES,
     ROOT,
     SCHEMA_VERSION,
     SURFACE,
@@ -30,8 +32,10 @@ from melp_warp.usd.schema import (
     Layout,
     array_of,
     attributes_of,
+    fixed_of,
     is_mesh,
     prims_of,
+    type_of,
     with_rows,
 )
 
@@ -48,6 +52,10 @@ _COOKIES = {".usda": b"#usda 1.0", ".usdc": b"PXR-USDC"}
 
 WIRE_WIDTH = 0.01
 """Diameter of the wire that holds a film, over the film's size."""
+
+
+BRIGHT = 0.9
+"""Colour of free rims: thick liquid has none of its own."""
 
 
 MATERIAL = "/World/Looks/SoapFilm"
@@ -141,7 +149,8 @@ def declare(
 ) -> None:
     """Add /World and the prims with every attribute, without values; moved to `origin` where it is elsewhere.
 
-    With `fixed`, meshes say besides what holds for all frames: that they are as they are, and seen from both sides.
+    With `fixed`, meshes and curves say besides what holds for all frames: that they are as they are, and meshes that
+    they are seen from both sides.
     """
     from pxr import Sdf
 
@@ -152,13 +161,13 @@ def declare(
         if mesh and not layer.GetPrimAtPath(f"/World/{SURFACE}"):
             Sdf.PrimSpec(world, SURFACE, Sdf.SpecifierDef, "Xform")
         parent = layer.GetPrimAtPath(f"/World/{SURFACE}") if mesh else world
-        spec = Sdf.PrimSpec(parent, prim.rsplit("/", 1)[-1], Sdf.SpecifierDef, "Mesh" if mesh else "Points")
+        spec = Sdf.PrimSpec(parent, prim.rsplit("/", 1)[-1], Sdf.SpecifierDef, type_of(prim))
         for attribute in with_rows(attributes_of(prim, layout)):
             found = Sdf.AttributeSpec(spec, attribute.name, Sdf.ValueTypeNames.Find(attribute.type_name))
             if attribute.interpolation:
                 found.SetInfo("interpolation", attribute.interpolation)
-        if mesh and fixed:
-            for name, kind, value in (("subdivisionScheme", "token", "none"), ("doubleSided", "bool", True)):
+        if fixed:
+            for name, kind, value in fixed_of(prim):
                 Sdf.AttributeSpec(spec, name, Sdf.ValueTypeNames.Find(kind), Sdf.VariabilityUniform).default = value
         _translate(spec, origin)
 
@@ -272,7 +281,7 @@ def root_layer(
     rims: Sequence[np.ndarray],
 ):
     """The root without its time range and clips, see `set_range`."""
-    from pxr import Usd
+    from pxr import Gf, Usd, UsdGeom
 
     layer = new_layer(".usda", fps)
     layer.documentation = "Soap film cache. SI units, except primvars:thickness, which is in nanometres."
@@ -281,17 +290,20 @@ def root_layer(
     if rims:
         _add_rims(layer, rims, origin)
     stage = Usd.Stage.Open(layer)
+    if RIM_CURVES in prims:
+        UsdGeom.BasisCurves(stage.GetPrimAtPath(f"/World/{RIM_CURVES}")).CreateDisplayColorAttr([Gf.Vec3f(BRIGHT)])
     _add_preview_material(stage, prims)
     set_purposes(stage, prims)
     return layer
 
 
 def set_purposes(stage, prims: Sequence[str]) -> None:
-    """Show one thing by default, the meshes or else the first set of particles; the others are guides."""
+    """Show one thing by default, the meshes or else the first set of particles; the others are guides, as are beads."""
     from pxr import UsdGeom
 
     points = [prim for prim in prims if prim in FILM_SETS]
-    for prim in points if any(map(is_mesh, prims)) else points[1:]:
+    guides = points if any(map(is_mesh, prims)) else points[1:]
+    for prim in (*guides, *([FREE_RIMS] if RIM_CURVES in prims else [])):
         UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{prim}")).CreatePurposeAttr(UsdGeom.Tokens.guide)
 
 

@@ -29,6 +29,7 @@ from melp_warp.usd.schema import (
     FRAMES,
     FREE_RIMS,
     MANIFEST,
+    RIM_CURVES,
     ROOT,
     SURFACE,
     attributes_of,
@@ -69,7 +70,7 @@ def add_meshes(
     except (InputError, TypeError):
         raise InputError(f"{directory / ROOT}: colorGain and refractiveIndex are {gain!r:.80}, {index!r:.80}") from None
     sets = [prim for prim in prims_of(root) if not is_mesh(prim)]
-    points = [prim for prim in sets if prim not in (FREE_RIMS, DROPS)]
+    points = [prim for prim in sets if prim not in (FREE_RIMS, RIM_CURVES, DROPS)]
     numbers = list_frames(directory)
     require("Film" in points and bool(numbers), "directory", str(directory), "a cache with frames and /World/Film")
     origin, layout = origin_of(root, "Film"), layout_of(root, points)

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from melp_warp.errors import InputError, SimulationError, require
-from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
+from melp_warp.frame import CurveFrame, MeshFrame, ParticleFrame, WholeFrame
 from melp_warp.usd.frame_checks import check_arrays
 from melp_warp.usd.layers import open_layer, origin_of, reason
 from melp_warp.usd.packing import refine_normals
 from melp_warp.usd.schema import (
     LARGEST,
     METADATA_KEY,
+    RIM_CURVES,
     ROOT,
     WHOLE,
     Attribute,
@@ -40,6 +41,15 @@ def read_frame(directory: str | os.PathLike, frame: int, prim: str = "Film") -> 
     """
     read, packed = read_prim(directory, frame, prim)
     return refine_normals(read) if packed else read
+
+
+def read_curves(directory: str | os.PathLike, frame: int) -> CurveFrame:
+    """Return the free rims of one frame as curves, bit for bit as they were written.
+
+    Raises:
+        InputError: as `read_frame`.
+    """
+    return read_prim(directory, frame, RIM_CURVES)[0]
 
 
 def read_mesh(directory: str | os.PathLike, frame: int, region: int = 0) -> MeshFrame:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from melp_warp.frame import MeshFrame, ParticleFrame, WholeFrame
+from melp_warp.frame import CurveFrame, MeshFrame, ParticleFrame, WholeFrame
 
 SCHEMA_VERSION = 3
 """Before 3 no set was packed."""
@@ -135,6 +135,14 @@ WHOLE_ATTRIBUTES = (
 """Every attribute of the mesh of a whole foam, likewise: on a border a film has a thickness and a normal of its own."""
 
 
+CURVE_ATTRIBUTES = (
+    *(_SHARED[name] for name in ("points", "velocities")),
+    Attribute("curveVertexCounts", "counts", "int[]", "IntArray", np.int32, 1, None),
+    *(_SHARED[name] for name in ("widths", "extent")),
+)
+"""Every attribute of curves, likewise."""
+
+
 SURFACE = "FilmSurface"
 
 
@@ -144,6 +152,10 @@ WHOLE = f"{SURFACE}/Whole"
 
 FREE_RIMS, DROPS = "FreeRims", "Droplets"
 """Names under /World of the liquid that is no film: the rims of holes and the drops that they break into."""
+
+
+RIM_CURVES = "FreeRimCurves"
+"""Name under /World of the rims as curves; the beads of `FREE_RIMS` are the same liquid."""
 
 
 FILM_SETS = ("Film", "FilmE")
@@ -166,6 +178,18 @@ def is_mesh(prim: str) -> bool:
     return prim.startswith(f"{SURFACE}/")
 
 
+def fixed_of(prim: str) -> tuple[tuple[str, str, object], ...]:
+    """Attributes of a prim that are the same in all frames: names, USD types and values."""
+    if is_mesh(prim):
+        return (("subdivisionScheme", "token", "none"), ("doubleSided", "bool", True))
+    return (("type", "token", "linear"), ("wrap", "token", "nonperiodic")) if prim == RIM_CURVES else ()
+
+
+def type_of(prim: str) -> str:
+    """USD type of a prim."""
+    return "Mesh" if is_mesh(prim) else "BasisCurves" if prim == RIM_CURVES else "Points"
+
+
 class Layout(NamedTuple):
     """What the particle sets of a cache have besides, or in another form.
 
@@ -185,6 +209,8 @@ PLAIN = Layout()
 
 def attributes_of(prim: str, layout: Layout = PLAIN) -> tuple[Attribute, ...]:
     """The attributes of a prim of a cache, the extent last."""
+    if prim == RIM_CURVES:
+        return CURVE_ATTRIBUTES
     if is_mesh(prim):
         own, names = WHOLE_ATTRIBUTES if prim == WHOLE else MESH_ATTRIBUTES, layout.meshed
     else:
@@ -223,26 +249,27 @@ def _declared_in(layer, prims: Sequence[str]) -> tuple[str, ...]:
     return tuple(name.removeprefix("primvars:") for name in more)
 
 
-def frame_kind(prim: str) -> type[ParticleFrame] | type[MeshFrame] | type[WholeFrame]:
+def frame_kind(prim: str) -> type[ParticleFrame] | type[CurveFrame] | type[MeshFrame] | type[WholeFrame]:
     """What a prim of a cache holds in a frame."""
-    if prim == WHOLE:
-        return WholeFrame
-    return MeshFrame if is_mesh(prim) else ParticleFrame
+    kinds = {WHOLE: WholeFrame, RIM_CURVES: CurveFrame}
+    return kinds.get(prim, MeshFrame if is_mesh(prim) else ParticleFrame)
 
 
 def entries_of(attribute: Attribute, points: int, faces: int) -> int:
-    """How many values an attribute has: one a point, corner or face."""
+    """How many values an attribute has: one a point, corner or face; `faces` may be curves."""
     if attribute.name == "faceVertexIndices":
         return 3 * faces
     counts = {"faceVarying": 3 * faces, "uniform": faces}
-    return faces if attribute.name == "faceVertexCounts" else counts.get(attribute.interpolation, points)
+    each = attribute.name in ("faceVertexCounts", "curveVertexCounts")
+    return faces if each else counts.get(attribute.interpolation, points)
 
 
 def prims_of(layer) -> list[str]:
-    """The particle sets and meshes of a layer of a cache, named from /World."""
+    """The particle sets, curves and meshes of a layer of a cache, named from /World."""
     world = layer.GetPrimAtPath("/World")
     surface = layer.GetPrimAtPath(f"/World/{SURFACE}")
-    points = [child.name for child in world.nameChildren if child.typeName == "Points"] if world else []
+    held = [child for child in world.nameChildren if child.typeName == type_of(child.name)] if world else []
+    points = [child.name for child in held if child.typeName in ("Points", "BasisCurves")]
     meshes = [child.name for child in surface.nameChildren if child.typeName == "Mesh"] if surface else []
     return [*points, *(f"{SURFACE}/{name}" for name in meshes)]
 
@@ -260,4 +287,4 @@ def list_frames(directory: str | os.PathLike) -> list[int]:
     return sorted(int(match[1]) for name in os.listdir(folder) if (match := _FRAME_NAME.fullmatch(name)))
 
 
-Frame = ParticleFrame | MeshFrame | WholeFrame
+Frame = ParticleFrame | CurveFrame | MeshFrame | WholeFrame

@@ -11,7 +11,7 @@ import numpy as np
 from melp_warp.program.writers import Moment, all_regions, mesh_prims, rims_of
 from melp_warp.usd.cache import CacheWriter
 from melp_warp.usd.reading import store_floors
-from melp_warp.usd.schema import DROPS, FREE_RIMS
+from melp_warp.usd.schema import DROPS, FREE_RIMS, RIM_CURVES
 
 if TYPE_CHECKING:
     from melp_warp.program.plan import Plan
@@ -26,7 +26,7 @@ class UsdWriter:
         shown = "l" if simulation.has_l and plan.export != "e" else "e"
         self._sets = {"Film": shown, **({"FilmE": "e"} if plan.export in ("e", "both") else {})}
         if plan.scene.bursts:
-            self._sets |= {FREE_RIMS: "rims", DROPS: "drops"}
+            self._sets |= {FREE_RIMS: "rims", RIM_CURVES: "rim_curves", DROPS: "drops"}
         self._sets |= {one.name: one.name for one in plan.scene.sets}
         metadata = {
             "scene": plan.name,

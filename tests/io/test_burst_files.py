@@ -1,6 +1,7 @@
 """Films that burst, from the command line to the files: rims and drops in the cache, slow motion, resumed runs."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from melp_warp.frame import ParticleFrame
 from melp_warp.mesh.outline import mesh_torn, outlines
 from melp_warp.registry import load_scene
 from melp_warp.usd.check import check_cache
-from melp_warp.usd.reading import read_frame, read_mesh, read_metadata
-from melp_warp.usd.schema import DROPS, FREE_RIMS, list_frames
+from melp_warp.usd.reading import read_curves, read_frame, read_mesh, read_metadata
+from melp_warp.usd.schema import DROPS, FREE_RIMS, RIM_CURVES, list_frames
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]])
 SMALL = ["--set", "e_count=400", "l_per_e=4", "breakup=5", "--quiet", "--no-budget"]
@@ -177,3 +178,44 @@ def test_the_outline_of_a_film_with_holes(burst):
     for curve in curves:
         gap = np.linalg.norm(np.roll(curve, -1, axis=0) - curve, axis=1)
         assert gap.max() < 0.03
+
+
+def test_the_rims_are_curves_as_well(burst):
+    """Closed curves through the beads, as thick; USD reads them through the clips, and their number changes."""
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(burst / "film.usda"))
+    prim = UsdGeom.BasisCurves(stage.GetPrimAtPath(f"/World/{RIM_CURVES}"))
+    assert (prim.GetTypeAttr().Get(), prim.GetWrapAttr().Get()) == ("linear", "nonperiodic")
+    assert prim.GetWidthsInterpolation() == "vertex"
+    assert UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{FREE_RIMS}")).GetPurposeAttr().Get() == "guide"
+    log, seen = lines(burst), set()
+    for frame in (0, 1, 5, 20, 40):
+        curves, beads = read_curves(burst, frame), read_frame(burst, frame, FREE_RIMS)
+        seen.add(len(curves.counts))
+        assert len(curves.counts) == log[frame]["rims"]
+        np.testing.assert_array_equal(np.array(prim.GetPointsAttr().Get(frame)).reshape(-1, 3), curves.points)
+        np.testing.assert_array_equal(np.array(prim.GetCurveVertexCountsAttr().Get(frame), dtype=int), curves.counts)
+        starts = np.cumsum(curves.counts) - curves.counts
+        closed = [
+            np.allclose(curves.points[s], curves.points[s + n - 1]) for s, n in zip(starts, curves.counts, strict=True)
+        ]
+        kept = np.ones(len(curves.points), dtype=bool)
+        kept[(starts + curves.counts - 1)[closed]] = False
+        np.testing.assert_array_equal(curves.points[kept], beads.points)
+        np.testing.assert_array_equal(curves.widths[kept], beads.widths)
+        assert all(closed) or frame > 5  # later they end at the frame
+    assert len(seen) > 1
+
+
+def test_curves_that_do_not_fit_their_points_are_told(burst, tmp_path):
+    from pxr import Sdf, Vt
+
+    folder = tmp_path / "cache"
+    shutil.copytree(burst, folder)
+    path = str(folder / "frames" / "film.000005.usdc")
+    layer = Sdf.Layer.FindOrOpen(path)
+    layer.SetTimeSample(f"/World/{RIM_CURVES}.curveVertexCounts", 5.0, Vt.IntArray([3]))
+    layer.Save()
+    told = [fault for fault in check_cache(folder) if RIM_CURVES in fault]
+    assert any("curveVertexCounts: must be two or more each" in fault for fault in told)

@@ -14,7 +14,7 @@ from melp_warp.study.mesh_validation import SCENES, area_of, liquid_in, liquid_o
 from melp_warp.usd.cache import CacheWriter
 from melp_warp.usd.check import check_cache
 from melp_warp.usd.reading import read_frame, read_mesh, read_metadata
-from melp_warp.usd.schema import DROPS, FREE_RIMS, list_frames, surface_prim
+from melp_warp.usd.schema import DROPS, FREE_RIMS, RIM_CURVES, list_frames, surface_prim
 from tests.foams import cluster
 from tests.helpers import fitted_order
 
@@ -295,6 +295,7 @@ def test_a_run_writes_what_the_command_writes_afterwards(tmp_path, capsys):
             "Film",
             "FilmE",
             FREE_RIMS,
+            RIM_CURVES,
             DROPS,
             *map(surface_prim, regions),
         ]
