@@ -42,6 +42,8 @@ class Numerics:
         spread: (delta_max - delta_min)/delta_mean below which E are left alone.
         respacing: factor, or one over it, by which the spacing of E may change as a film stretches or shrinks before E
             are put in or taken out, see stepping/respacing.py; None for E that stay.
+        resampling: factor over the mean of their region, or one over it, by which L may clump or thin out before
+            they are merged there and split here, see stepping/resampling.py; None for L that stay.
         xsph: the artificial viscosity of a single layer's flow along the film; the paper has 0.99. E of MELP have no
             velocity of their own along the film.
         gradient: "difference" is the paper's (21); "symmetric" in pairs keeps momentum and energy, but takes the noise
@@ -84,6 +86,16 @@ class Numerics:
             "growth of the E spacing at which E come, its inverse at which some go (auto: none)",
             1.05,
             2.0,
+            auto=True,
+        ),
+        None,
+    )
+    resampling: float | None = quantity(
+        Key(
+            "-",
+            "density of L over the mean at which near ones merge, its inverse at which some are split (auto: never)",
+            1.2,
+            10.0,
             auto=True,
         ),
         None,

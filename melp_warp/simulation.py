@@ -31,6 +31,7 @@ from melp_warp.stepping.foam_burst import FoamBurst
 from melp_warp.stepping.ledger import Ledger, Reading
 from melp_warp.stepping.log_line import line_of
 from melp_warp.stepping.parts import kernel_files
+from melp_warp.stepping.resampling import Resampling
 from melp_warp.stepping.respacing import Respacing
 from melp_warp.stepping.sampling import FAR, MOST_TURN, film_of, make_film, set_up_again, unresolved
 from melp_warp.stepping.stepper import make_stepper
@@ -113,6 +114,8 @@ class Simulation:
         self.burst = kind(self) if scene.bursts else None
         self.breath = Breath(self) if scene.breathes else None
         self.respacing = Respacing(self) if scene.numerics.respacing is not None else None
+        resampled = scene.numerics.resampling is not None and scene.l_per_e > 0
+        self.resampling = Resampling(self) if resampled else None
         try:
             if checkpoint is not None:
                 self.load_checkpoint(checkpoint, changed)
@@ -252,6 +255,8 @@ class Simulation:
         follows = self.respacing is not None and not self.gone and self.respacing.follow()
         if not follows and self.breath is not None and self.film.features.closed:
             self.breath.respace()
+        if self.resampling is not None and not self.gone:
+            self.resampling.follow()
         self._keep()
 
     def _weighed(self) -> Reading:

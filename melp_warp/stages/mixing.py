@@ -20,7 +20,7 @@ WAY = 1.0
 """Way of the fastest particle from one pass to the next, E spacings."""
 
 SMOOTHINGS = 3
-"""Times that the velocity gradient is made smooth: what uneven L make of it beside a rim is then below a twentieth."""
+"""Times that the velocity gradient is made smooth: what uneven L make of it beside a rim is then a fifteenth."""
 
 
 class Mixing:

@@ -75,7 +75,7 @@ TERMS = (
     Term("air_range", LOSS, "air beyond its range, kept from making energy", ((kb.RANGE, 1),)),
     Term("redistribution", LOSS, "shifts of E", ((kb.SHIFTS, 1),)),
     Term("events", LOSS, "films that popped or merged, and those that came"),
-    Term("respacing", LOSS, "E and L that come and go with the area"),
+    Term("respacing", LOSS, "E and L that come and go with the area, or where L clump"),
 )
 """All terms: whoever adds a phenomenon adds a line here and a kernel that fills its slot.
 
