@@ -62,25 +62,32 @@ def smooth_slope_e(
     # outputs
     smooth: wp.array(dtype=wp.mat33),
 ):
-    """Mean velocity gradient of the E around, by W: what L that lie unevenly make of it differs from E to E.
+    """Beside a rim the mean velocity gradient of the E around, by W; elsewhere the E's own.
+
+    There each E sees L on one side alone: what these, lying unevenly, make of it differs from E to E.
 
     Args:
         x: [n] m.
         slope: [n_e] 1/s.
-        rows: E:E neighbours.
+        rows: E:E neighbours; an E is beside a rim where there are boundary particles among them.
         r: support radius, m.
         smooth: [n_e] 1/s.
     """
     i = rows.first + wp.tid()
     weight = kernel_w(0.0, r)
     total = weight * slope[i]
+    beside = int(0)
     for k in range(rows.start[i], rows.stop[i]):
         j = rows.index[k]
         if j < slope.shape[0]:
             w = kernel_w(wp.length(x[j] - x[i]), r)
             weight += w
             total += w * slope[j]
-    smooth[i] = total / weight
+        else:
+            beside = 1
+    smooth[i] = slope[i]
+    if beside == 1:
+        smooth[i] = total / weight
 
 
 @wp.kernel

@@ -20,7 +20,7 @@ WAY = 1.0
 """Way of the fastest particle from one pass to the next, E spacings."""
 
 SMOOTHINGS = 3
-"""Times that the velocity gradient is made smooth: what uneven L make of it beside a rim is then a fifteenth."""
+"""Times that the velocity gradient is made smooth beside a rim: what uneven L make of it there is then a fifteenth."""
 
 
 class Mixing:
@@ -66,11 +66,11 @@ class Mixing:
         self._mix(lag.surfactant, [lag.u, lag.mass, lag.surfactant, lag.eta])
 
     def _find_shear(self) -> None:
-        """Rate at which the flow shears, from its gradient at E, made smooth."""
+        """Rate at which the flow shears, from its gradient at E, made smooth beside a rim."""
         film, e, rows = self.film, self.state.e, self.lists.ee.rows
         slope, other = self._slopes
         film.launch_e(kx.find_slope_e, [e.u, rows, self.geometry.inner_gradient], [slope])
-        for _ in range(SMOOTHINGS):
+        for _ in range(SMOOTHINGS if film.features.rim else 0):
             film.launch_e(kx.smooth_slope_e, [e.x, slope, rows, film.r], [other])
             slope, other = other, slope
         film.launch_e(kx.find_shear_e, [slope, e.normal], [self._shear])
