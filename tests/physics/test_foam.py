@@ -74,7 +74,11 @@ def test_partition_bends_as_the_pressures_say():
 
 
 def size_ratio(ratio, e_small, frames):
-    """The scene of that name at its own step with `e_small` E on the small bubble; what is measured at the end."""
+    """The scene of that name at its own step with `e_small` E on the small bubble; what is measured at the end.
+
+    Returns:
+        Largest error of an angle, degrees; error of the partition's curvature relative to it, and to 1/R2.
+    """
     script = load_scene("size_ratio")
     count = round(e_small * (1.0 + ratio**-2))
     given = {"ratio": ratio, "e_count": count, "l_per_e": 0}
@@ -83,9 +87,10 @@ def size_ratio(ratio, e_small, frames):
         simulation.advance_frame()
     pair = measure(simulation.particles("e"), simulation.film.spacing).pairs[0]
     error = float(np.abs(np.array(pair.angles) - 120.0).max())
-    bend = pair.partition.curvature / pair.expected - 1.0
-    print(f"ratio {ratio}, {e_small} E on the small one: angles off by {error:.2f} degrees, curvature {bend:+.1%}")
-    return error, bend
+    off = pair.partition.curvature - pair.expected
+    bend, of_cap = off / pair.expected, off * ratio * script.parameters.defaults["radius_1"]
+    print(f"ratio {ratio}, {e_small} E on the small one: angles off {error:.2f}, curvature {bend:+.1%}, {of_cap:+.2%}")
+    return error, bend, of_cap
 
 
 def test_a_small_bubble_meets_a_large_one():
@@ -93,7 +98,7 @@ def test_a_small_bubble_meets_a_large_one():
 
     The scene stopped in frame 29 at this ratio, and in frames 3 to 7 at lower ones.
     """
-    error, bend = size_ratio(0.4, 300, 25)
+    error, bend, _ = size_ratio(0.4, 300, 25)
     assert error < 1.5
     assert abs(bend) < 0.03
 
@@ -102,27 +107,49 @@ def test_a_small_bubble_meets_a_large_one():
 @pytest.mark.parametrize("ratio", [0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6])
 def test_unequal_bubbles(ratio):
     """With 300 E on the small bubble: angles within 1.5 degrees, curvature within 3 %."""
-    error, bend = size_ratio(ratio, 300, 40)
+    error, bend, _ = size_ratio(ratio, 300, 40)
+    assert error < 1.5
+    assert abs(bend) < 0.03
+
+
+def mean_of_five(ratio, e_small):
+    """The same for five numbers of E, 0.9 to 1.1 times `e_small`: where E come to lie at the line is chance."""
+    found = [size_ratio(ratio, round(share * e_small), 40) for share in (0.9, 0.95, 1.0, 1.05, 1.1)]
+    return np.mean(found, axis=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.7, 0.8, 0.9])
+def test_bubbles_of_nearly_the_same_size(ratio):
+    """300 E on the small one: angles within 1.5 degrees in the mean, curvature, a small difference, 3 % of 1/R2."""
+    error, _, of_cap = mean_of_five(ratio, 300)
+    assert error < 1.5
+    assert abs(of_cap) < 0.03
+
+
+@pytest.mark.slow
+def test_equal_bubbles_of_300_e():
+    """Angles within 2.5 degrees in the mean, the partition flat within 3.5 % of 1/R2."""
+    error, _, of_cap = mean_of_five(1.0, 300)
+    assert error < 2.5
+    assert abs(of_cap) < 0.035
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.4, 0.6])
+def test_unequal_bubbles_at_twice_the_e(ratio):
+    """With 600 E on the small bubble: angles within 1.5 degrees, curvature within 3 %."""
+    error, bend, _ = size_ratio(ratio, 600, 40)
     assert error < 1.5
     assert abs(bend) < 0.03
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.8, 1.0])
-def test_bubbles_of_nearly_the_same_size(ratio):
-    """300 E on the small bubble: angles within 2.5 degrees; curvature, a small difference, within 3.5 % of 1/R2."""
-    error, bend = size_ratio(ratio, 300, 40)
-    assert error < 2.5
-    assert abs(bend) * (1.0 - ratio) < 0.035
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.4, 0.6, 0.8])
-def test_unequal_bubbles_at_twice_the_e(ratio):
-    """With 600 E on the small bubble: angles within 1.5 degrees, curvature within 3 % of 1/R2."""
-    error, bend = size_ratio(ratio, 600, 40)
+def test_bubbles_of_nearly_the_same_size_at_twice_the_e():
+    """With 600 E on the small bubble: angles within 1.5 degrees, curvature itself within 5 %, in the mean."""
+    error, bend, _ = mean_of_five(0.8, 600)
     assert error < 1.5
-    assert abs(bend) * (1.0 - ratio) < 0.03
+    assert abs(bend) < 0.05
 
 
 @pytest.mark.slow
