@@ -85,9 +85,10 @@ NOTES = """\
   affine part is worse than APIC with `flip`. The noise of their own that L keep does not show: the grain of eta_L in
   a film that evens out and the error of one that drains are the same to a hundredth with 0, 0.95 and 1.
 * **`carrier=circulation`** leaves a vortex 3.9 to 4.2 % of its energy off in place of 8.7 (with `flip` 0.95), and two
-  vortices 5 % of their peak in place of 36; waves, drainage and what evens out are the same to 3 %. `mixing=2` changes
-  none of them by more than a tenth but for the pair, 0.1 % with circulation, by luck of signs. Run on 2026-11-29 on a
-  shared machine, which tells no cost ([vortices.md](vortices.md) does).
+  vortices 5 % of their peak in place of 36; waves, drainage and what evens out are the same to 2 %. `mixing=2` changes
+  none of them by more than a tenth but for the pair, 0.2 % with circulation, by luck of signs. Both were run on
+  2026-11-29 by turns with the cases as they are, on a shared machine: their costs are good to a half
+  ([vortices.md](vortices.md) tells them better).
 * **Redistribution** takes a seventh of a ringing bubble's time and a quarter of its error; a bubble at rest asks
   nothing of it.
 * **float64** changes no error by more than a fortieth, most not in the third digit, at 1.2 to 1.7 times the time and
