@@ -259,6 +259,7 @@ class Course:
         gas: amount of gas that a closed film started with, n R T, J.
         run: way of the fastest rim since film behind rims was last taken away, m.
         tears: [scene's number of the region, that on the other side of a partition or -1] of each film that is torn.
+        torn: energy of the film that rims have torn, and what was lost of it as they took its liquid along, J.
         rest: liquid that a frame has collected where a rim came to it, and that left with drops out of sight, kg.
         left: name -> what went with that, or with films that popped, of what the scene declares.
         shown: [3] where exported positions are measured from, the same for the whole run, m.
@@ -290,6 +291,7 @@ class Course:
     gas: float = 0.0
     run: float = 0.0
     tears: list[list[int]] = field(default_factory=list)
+    torn: list[float] = field(default_factory=lambda: [0.0, 0.0])
     rest: float = 0.0
     left: dict[str, float] = field(default_factory=dict)
     shown: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -531,20 +533,8 @@ class State:
             **{
                 name: getattr(was, name)
                 for name in (
-                    *("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger"),
-                    *(
-                        "punctured",
-                        "holed",
-                        "gas",
-                        "run",
-                        "rest",
-                        "left",
-                        "tears",
-                        "issued",
-                        "sprayed",
-                        "spacing",
-                        "areas",
-                    ),
+                    *("reach", "speed", "labels", "spilled", "pending", "unborn", "shown", "ledger", "punctured"),
+                    *("torn", "holed", "gas", "run", "rest", "left", "tears", "issued", "sprayed", "spacing", "areas"),
                 )
             },
             crossed=self.time,

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
 from melp_warp.bursting import Puncture
 from melp_warp.device.launch import launch
@@ -102,6 +103,7 @@ class Burst:
             if not np.isfinite(speed):
                 raise SimulationError("stage rim: a point of a free rim is not finite")
             sim.state.course.run += dt * speed
+            self._book(dt)
             self._moved = True
             if sim.scene.surroundings.air != "none":
                 self._vent(dt)
@@ -109,6 +111,25 @@ class Burst:
         density = air.air_density if air.air != "none" else 0.0
         inputs = [drops.mass, sim.scene.material.density, density, sim.film.gravity_at(sim.time - 0.5 * dt), dt]
         launch(kr.fly_d, drops.x.shape[0], inputs, [drops.x, drops.u], sim.device)
+
+    def _book(self, dt: float) -> None:
+        """Add up what a step of dt (s) tore of the film, and what of that was lost as rims took its liquid along.
+
+        A rim that runs at V over a film that moves at u tears 2 sigma (V - u).n ds in a second. What it takes comes to
+        its speed at once, which loses rho eta/2 |V - u|^2 (V - u).n ds: half of that where it runs as Taylor and
+        Culick say. The other half is its motion.
+        """
+        sim, rims = self._sim, self._rims
+        point, film = rims.point, sim.film
+        ahead = point["u"] - point["flow"]
+        point["x"] = point["x"] - 0.5 * dt * point["u"]  # as long as it was halfway
+        swept = dt * rims.halves() * np.maximum((ahead * rims.conormals()).sum(axis=1), 0.0)
+        gamma, eta = point["film"].T
+        sheets = 1.0 + (point["other"] >= 0)
+        sigma = film.tension.numpy()[point["region"].astype(int)] - film.slope * gamma
+        course = sim.state.course
+        lost = 0.5 * film.material.density * eta * (ahead**2).sum(axis=1) * swept
+        course.torn = [course.torn[0] + float((2.0 * sheets * sigma * swept).sum()), course.torn[1] + float(lost.sum())]
 
     def _fallen(self) -> np.ndarray:
         """[n_d] whether drops have come to a wall."""
@@ -218,8 +239,12 @@ class Burst:
             "rim_length": float(rims.halves().sum()) if rims.chains else 0.0,
             "rim_mass": float(rim.mass.numpy().sum()),
             "rim_speed": float(np.linalg.norm(rim.u.numpy(), axis=1).max(initial=0.0)),
+            "rim_energy": _kinetic(rim.mass, rim.u),
+            "torn_energy": state.course.torn[0],
+            "torn_loss": state.course.torn[1],
             "drops": state.sizes["d"],
             "drop_mass": float(state.d.mass.numpy().sum(dtype=np.float64)),
+            "drop_energy": _kinetic(state.d.mass, state.d.u),
             "frame_mass": state.course.rest,
             **({"new_drops": self._new_drops()} if self._sim.has_l else {}),
         }
@@ -611,6 +636,11 @@ class Burst:
             arrays[name] = arrays[name][:0]
         arrays.pop("b.mirror", None)
         stored.drop_region(0)
+
+
+def _kinetic(mass: wp.array, u: wp.array) -> float:
+    """Energy of what moves, J (reads back)."""
+    return 0.5 * float((mass.numpy() * (u.numpy().astype(np.float64) ** 2).sum(axis=1)).sum())
 
 
 def keep_e(stored: Stored, kept: np.ndarray) -> None:

@@ -326,7 +326,7 @@ def set_up_foam(scene: Scene, stored: Stored, before: State, film: Film) -> tupl
     state = state_of(scene, stored.arrays, len(stored.labels), film.device)
     state.ids, state.swept = stored.ids, stored.swept.held
     stays = (
-        *("limit", "cap", "speed", "pending", "unborn", "shown", "ledger", "punctured", "holed", "run", "rest"),
+        *("limit", "cap", "speed", "pending", "unborn", "shown", "ledger", "punctured", "holed", "run", "torn", "rest"),
         *("issued", "sprayed", "spacing", "areas"),
     )
     kept = {name: getattr(before.course, name) for name in stays}
@@ -357,18 +357,8 @@ def set_up_holed(scene: Scene, stored: Stored, before: State, film: Film) -> tup
     state = state_of(scene, stored.arrays, len(stored.labels), film.device, holed=True)
     state.ids, state.swept = stored.ids, stored.swept.held
     stays = (
-        "limit",
-        "cap",
-        "speed",
-        "reach",
-        "shown",
-        "punctured",
-        "gas",
-        "rest",
-        "run",
-        "issued",
-        "sprayed",
-        "spacing",
+        *("limit", "cap", "speed", "reach", "shown", "punctured", "gas", "torn", "rest", "run"),
+        *("issued", "sprayed", "spacing"),
     )
     kept = {name: getattr(before.course, name) for name in stays}
     own = {"labels": stored.labels, "left": stored.left}

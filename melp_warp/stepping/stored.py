@@ -108,7 +108,7 @@ def check_course(stored: object, scene: Scene) -> Course:
     right = isinstance(stored, dict) and set(stored) == names
     require(right, "course", sorted(stored)[:20] if isinstance(stored, dict) else stored, "what a run remembers")
     others = ("builds", "labels", "unborn", "shown", "fresh", "pending", "ledger", "punctured", "holed", "tears")
-    others += ("left", "issued", "areas")
+    others += ("left", "issued", "areas", "torn")
     numbers = {k: v for k, v in stored.items() if k not in others}
     for name, value in numbers.items():
         none = name == "layer_speed" and value is None
@@ -133,6 +133,10 @@ def check_course(stored: object, scene: Scene) -> Course:
     right = isinstance(issued, dict) and set(issued) == {"e", "l", "d"}
     require(right, "issued", issued, "numbers given to E, L and drops")
     _check_whole("issued", list(issued.values()))
+    torn = stored["torn"]
+    require(isinstance(torn, list) and len(torn) == 2, "torn", torn, "two energies, J")
+    for energy in torn:
+        _check_signed("torn", energy)
     areas = stored["areas"]
     require(isinstance(areas, list), "areas", areas, "a list of areas, m^2")
     for area in areas:

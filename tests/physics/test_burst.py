@@ -385,3 +385,32 @@ def test_a_rim_is_not_pushed_back_by_an_elastic_film():
     rim = simulation.state.f
     assert rim.film.numpy()[:, 0].max() > material.tension / (material.rt * material.surfactant)
     assert np.isfinite(rim.growth.numpy()).all()
+
+
+def test_half_of_the_energy_of_a_torn_film_is_lost():
+    """2 sigma times the hole becomes motion of the rim and loss, half each: 0.2 %, motion 1 %, as L are lumps."""
+    material, lines, hole = Material(thickness=400e-9), [], []
+    simulation = Simulation(film(material, (Puncture((0.0, 0.0, 0.0), 0.0),)))
+    for _ in range(8):
+        simulation.advance_frame()
+        lines.append(simulation.diagnostics())
+        hole.append(math.pi * span(simulation) ** 2)
+    torn, lost, moving = (lines[-1][name] - lines[0][name] for name in ("torn_energy", "torn_loss", "rim_energy"))
+    sigma = 2.0 * (material.tension - material.rt * material.surfactant)
+    assert torn == pytest.approx(sigma * (hole[-1] - hole[0]), rel=2e-3)
+    assert lost == pytest.approx(0.5 * torn, rel=2e-3)
+    assert moving == pytest.approx(0.5 * torn, rel=1e-2)
+    assert lines[-1]["drop_energy"] == 0.0
+
+
+def test_a_bubble_that_is_torn_gives_all_its_energy():
+    """2 sigma 4 pi R^2 within 1 %; half of it is lost, the other half flies off with the drops, within 2 %."""
+    scene = bubble(breakup=20.0)
+    simulation = Simulation(scene)
+    while not simulation.gone:
+        simulation.advance_frame()
+    line, m = simulation.diagnostics(), scene.material
+    whole = 2.0 * (m.tension - m.rt * m.surfactant) * 4.0 * math.pi * RADIUS**2
+    assert line["torn_energy"] == pytest.approx(whole, rel=0.01)
+    assert line["torn_loss"] == pytest.approx(0.5 * whole, rel=0.02)
+    assert line["rim_energy"] + line["drop_energy"] == pytest.approx(0.5 * whole, rel=0.03)
