@@ -118,9 +118,11 @@ def give_held_l(
     home: wp.array(dtype=wp.int32),
     shear: wp.array(dtype=float),
     mass: wp.array(dtype=float),
-    surfactant: wp.array(dtype=float),
+    amount: wp.array(dtype=float),
     eta: wp.array(dtype=float),
     density: float,
+    surfactant: wp.array(dtype=float),
+    usual: float,
     place: wp.array(dtype=wp.int32),
     behind: wp.array(dtype=wp.int32),
     strength: float,
@@ -131,31 +133,40 @@ def give_held_l(
 ):
     """Sort what L mix by their homes.
 
+    What differs between L that a flow has drawn out is their liquid for their surfactant, which both stay with them. By
+    area it differs besides where a flow presses the film together, as around every vortex: evened out, what holds the
+    vortex would be gone. So L exchange equal amounts of surfactant, and area here is that which they would have at the
+    usual concentration of it.
+
     Args:
         x: [n_l] m.
         u: [n_l] carried velocity, m/s.
         home: [n_l] nearest E of each L.
         shear: [n_e] from `find_shear_e`, 1/s.
         mass: [n_l] kg.
-        surfactant: [n_l] mol.
+        amount: [n_l] what is exchanged besides: surfactant, mol, or what a scene declares.
         eta: [n_l] m.
         density: kg/m^3.
+        surfactant: [n_l] mol.
+        usual: concentration of surfactant, mol/m^2; 0 for a film without.
         place: [n_l] place of each L.
         behind: [n_l] 1 for L whose liquid is a free rim's, which do not mix; null for a film without holes.
         strength: C.
         time: [1] s since the last pass.
         pack: for the L at each place, packed by `native.write_held`, its position, what it holds and its velocity.
-        held: [n_l] area, C |S| t, at most `MOST`, mass and surfactant on a unit of area.
+        held: [n_l] area, C |S| t, at most `MOST`, mass and amount on a unit of area.
     """
     i = wp.tid()
     area = mass[i] / (density * eta[i])
+    if usual > 0.0 and surfactant[i] > 0.0:
+        area = surfactant[i] / usual
     rate = MOST * (1.0 - wp.exp(-strength * shear[home[i]] * time[0] / MOST))
     mine = wp.vec4(1.0, 0.0, 0.0, 0.0)
     lost = area <= 0.0
     if behind:
         lost = lost or behind[i] == 1
     if not lost:
-        mine = wp.vec4(area, wp.where(rate < LEAST, 0.0, rate), mass[i] / area, surfactant[i] / area)
+        mine = wp.vec4(area, wp.where(rate < LEAST, 0.0, rate), mass[i] / area, amount[i] / area)
     held[i] = mine
     write_held(place[i], x[i], mine, u[i], pack)
 

@@ -24,7 +24,7 @@ SMOOTHINGS = 3
 
 
 class Mixing:
-    """Exchange of liquid and surfactant between near L, D = C d^2 |S|. Made only where a scene asks for it (`mixing`).
+    """Exchange of liquid between near L, D = C d^2 |S|. Made only where a scene asks for it (`mixing`).
 
     A flow that shears draws liquid out to layers that soon are thinner than the distance d of L. L of different layers
     then lie side by side, and what they show is grain. Diffusion that makes layers fade as they come to be d thick, at
@@ -82,7 +82,8 @@ class Mixing:
             kx.give_held_l,
             [
                 *(lag.x, lag.u, lists.le.home, Shared(self._shear), lag.mass, amount, lag.eta),
-                *(film.material.density, lists.el.place, lag.behind, film.numerics.mixing, self._time.array),
+                *(film.material.density, lag.surfactant, film.material.surfactant),
+                *(lists.el.place, lag.behind, film.numerics.mixing, self._time.array),
             ],
             [Shared(self._pack), self._held],
         )

@@ -44,7 +44,8 @@ class Resampling:
     def follow(self) -> bool:
         """Between frames: merge L where they clump, split as many where they are thin; whether there were any."""
         sim = self._sim
-        if sim.film.features.holed or sim.state.course.tears:
+        features = sim.film.features
+        if not features.lagrangian or features.holed or sim.state.course.tears:
             return False
         density, region = self.density(), sim.state.e.region.numpy()[: sim.film.n_e]
         wanted = {}

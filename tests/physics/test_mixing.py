@@ -82,13 +82,13 @@ def test_l_in_a_crowd_give_no_more_than_they_have():
     simulation, _, _ = stirred(2.0, frames=2)
     lag, mixing = simulation.state.l, simulation.stepper.mixing
     rng = np.random.default_rng(1)
-    x, mass, eta, amount = (array.numpy() for array in (lag.x, lag.mass, lag.eta, lag.surfactant))
+    x, mass, eta = (array.numpy() for array in (lag.x, lag.mass, lag.eta))
     crowd = rng.permutation(len(x))[: len(x) // 4]
     x[crowd] = x[crowd[: len(x) // 40]][rng.integers(0, len(x) // 40, len(crowd))]
     thick = rng.random(len(x)) < 0.1
-    for values in (mass, eta, amount):
+    for values in (mass, eta):
         values[thick] *= 100.0
-    for array, values in ((lag.x, x), (lag.mass, mass), (lag.eta, eta), (lag.surfactant, amount)):
+    for array, values in ((lag.x, x), (lag.mass, mass), (lag.eta, eta)):
         array.assign(values)
     u = simulation.state.e.u.numpy()
     u[:, 0] = 1e3 * simulation.state.e.x.numpy()[:, 1]
