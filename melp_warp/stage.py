@@ -49,8 +49,9 @@ class Stage:
         of_l: whether its largest kernels have a thread an L.
         recorded: whether it is part of the step's graphs; others run on the host, before them.
         later: whether it comes after E have moved, when their lists may have to be rebuilt.
-        remembers: what it carries from step to step, name -> (Warp type, length): "e", "l", "r" or a number. It is part
-            of the state, so of checkpoints too; 0 at the start, and anew where regions change.
+        remembers: what a scene's own carries from step to step, name -> (Warp type, length): "e", "l", "r" or a number.
+            It is part of the state, so of checkpoints too; 0 at the start, and anew where regions change. What the
+            package's carry is in `melp_warp.stages.state.Memory`.
         stepper: all other stages and parts, the film and its state.
     """
 

@@ -67,7 +67,7 @@ class Carrier:
 
 
 class TwoLayers(Carrier):
-    """L carry the flow and E pass it on, which is MELP; where a scene asks for it they carry circulation besides."""
+    """L carry the flow and E pass it on, which is MELP."""
 
     stages = TABLE
 
@@ -93,9 +93,17 @@ class TwoLayers(Carrier):
             transfer.gather_to_l()
 
     def start_flow(self, scene: Scene, u: np.ndarray) -> None:
-        """Give L the velocity of the E near them, and the scene's circulation."""
+        """Give L the velocity of the E near them."""
         self.stepper.transfer.start_l()
-        if self.stepper.circulation is not None and scene.velocity is not None:
+
+
+class CirculatingLayers(TwoLayers):
+    """The same, and L carry circulation besides, which E restore (`melp_warp.stages.circulation`)."""
+
+    def start_flow(self, scene: Scene, u: np.ndarray) -> None:
+        """Give L the velocity of the E near them and the circulation of the scene's."""
+        super().start_flow(scene, u)
+        if scene.velocity is not None:
             film, lag = self.film, self.state.l
             points, normals = lag.x.numpy() + self.state.origin, lag.normal.numpy().astype(np.float64)
             area = lag.mass.numpy() / (film.material.density * lag.eta.numpy())

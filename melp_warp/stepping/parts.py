@@ -25,7 +25,7 @@ from melp_warp.stages.rim import Rim
 from melp_warp.stages.surfactant import Tangential
 from melp_warp.stages.transfer import Transfer
 from melp_warp.stepping.budget import Budget
-from melp_warp.stepping.carriers import Carrier, TwoLayers
+from melp_warp.stepping.carriers import Carrier, CirculatingLayers, TwoLayers
 from melp_warp.stepping.foam_budget import FoamBudget
 from melp_warp.stepping.single_layer import SingleLayer
 
@@ -49,7 +49,7 @@ class NormalMotion(NamedTuple):
 CARRIERS: dict[str, type[Carrier]] = {
     "none": Carrier,
     "two_layers": TwoLayers,
-    "circulation": TwoLayers,
+    "circulation": CirculatingLayers,
     "single_layer": SingleLayer,
 }
 """By `Features.carrier`."""

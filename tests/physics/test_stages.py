@@ -201,3 +201,33 @@ def test_kernels_are_known_beforehand(device, name, monkeypatch):
     prefix = "melp_warp.kernels."
     files = {module.removeprefix(prefix) for module in launched if module.startswith(prefix)}
     assert files and files <= set(kernel_files(simulation.film.features))
+
+
+class Tally(Stage):
+    """Counts its runs."""
+
+    name, velocity, needs, writes = "tally", "the same", ("l_advance",), ("e.u",)
+
+    def __init__(self, stepper):
+        super().__init__(stepper)
+        self.rows = self.film.zeros(1, wp.int32)
+
+    def run(self):
+        self.film.launch_one(count, [], [self.rows])
+
+    def report(self):
+        return {"tallied": int(self.rows.numpy()[0])}
+
+
+def test_one_more_stage_is_a_class_and_a_line(device, monkeypatch):
+    """In a carrier's list it runs, is timed, told and looked at; a film without its needs goes without it."""
+    for name in ("none", "two_layers"):
+        one_more = type("OneMore", (CARRIERS[name],), {"stages": (*CARRIERS[name].stages, Tally)})
+        monkeypatch.setitem(CARRIERS, name, one_more)
+    simulation = Simulation(replace(BUBBLE, dt=1.0 / 120.0))
+    simulation.advance_frame()
+    told = simulation.diagnostics()
+    assert told["tallied"] == 2 and told["wall_ms"]["tally"] > 0.0
+    assert "tally" not in Simulation(replace(BUBBLE, l_per_e=0)).stepper.wall
+    with pytest.raises(InputError, match="names of their own"):
+        replace(BUBBLE, stages=[type("Other", (Counter,), {"name": "tally"})])
