@@ -135,8 +135,8 @@ def give_held_l(
 
     What differs between L that a flow has drawn out is their liquid for their surfactant, which both stay with them. By
     area it differs besides where a flow presses the film together, as around every vortex: evened out, what holds the
-    vortex would be gone. So L exchange equal amounts of surfactant, and area here is that which they would have at the
-    usual concentration of it.
+    vortex would be gone. So L exchange liquid, and area, for equal amounts of surfactant, and the area held here is that
+    which they would have at the usual concentration of it.
 
     Args:
         x: [n_l] m.
@@ -144,7 +144,7 @@ def give_held_l(
         home: [n_l] nearest E of each L.
         shear: [n_e] from `find_shear_e`, 1/s.
         mass: [n_l] kg.
-        amount: [n_l] what is exchanged besides: surfactant, mol, or what a scene declares.
+        amount: [n_l] what is exchanged besides: area, m^2, or surfactant, mol, or what a scene declares.
         eta: [n_l] m.
         density: kg/m^3.
         surfactant: [n_l] mol.
@@ -218,9 +218,37 @@ def find_exchange_l(
 
 
 @wp.kernel
+def find_area_l(
+    mass: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
+    density: float,
+    # outputs
+    area: wp.array(dtype=float),
+):
+    """Area that each L takes up, mass/(density eta). [n_l], m^2."""
+    i = wp.tid()
+    area[i] = mass[i] / (density * eta[i])
+
+
+@wp.kernel
+def set_thickness_l(
+    mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    density: float,
+    # outputs
+    eta: wp.array(dtype=float),
+):
+    """Thickness of the L that have these areas (m^2), [n_l], m; that of an L without any stays."""
+    i = wp.tid()
+    if area[i] > 0.0 and mass[i] > 0.0:
+        eta[i] = mass[i] / (density * area[i])
+
+
+@wp.kernel
 def spare_l(
     place: wp.array(dtype=wp.int32),
     mass: wp.array(dtype=float),
+    area: wp.array(dtype=float),
     found: wp.array(dtype=vec5),
     # outputs
     held: wp.array(dtype=wp.vec4),
@@ -232,13 +260,17 @@ def spare_l(
     Args:
         place: [n_l] place of each L.
         mass: [n_l] kg.
+        area: [n_l] m^2, where that is what is exchanged besides; null else.
         found: [n_l] from `find_exchange_l`.
         held: [n_l] from `give_held_l`.
         pack: the same by places.
         spent: [1] whether there are any.
     """
     i = wp.tid()
-    if mass[i] + found[i][0] < LEFT * mass[i]:
+    short = mass[i] + found[i][0] < LEFT * mass[i]
+    if area:
+        short = short or area[i] + found[i][1] < LEFT * area[i]
+    if short:
         held[i] = wp.vec4(held[i][0], 0.0, held[i][2], held[i][3])
         write_rate(place[i], 0.0, pack)
         spent[0] = 1

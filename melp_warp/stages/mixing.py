@@ -42,6 +42,7 @@ class Mixing:
         self.due, self._time = False, Setting(film.device)
         self._pack, self._held = film.zeros(80 * math.ceil(film.n_l / 8)), film.zeros(film.n_l, wp.vec4)
         self._found, self._spent = film.zeros(film.n_l, vec5), film.zeros(1, wp.int32)
+        self._area = film.zeros(film.n_l) if film.material.surfactant > 0.0 else None
         self._shear = film.zeros(film.n_e)
         self._slopes = [film.zeros(film.n_e, wp.mat33) for _ in range(2)]
         self._spacing = film.spacing * math.sqrt(film.n_e / film.n_l)
@@ -63,7 +64,13 @@ class Mixing:
             more.spare()
             amount = self.state.carried[name]
             self._mix(amount, [more.u, more.mass, amount, more.eta])
-        self._mix(lag.surfactant, [lag.u, lag.mass, lag.surfactant, lag.eta])
+        if self._area is None:
+            self._mix(lag.surfactant, [lag.u, lag.mass, lag.surfactant, lag.eta])
+            return
+        film, density = self.film, self.film.material.density
+        film.launch_l(kx.find_area_l, [lag.mass, lag.eta, density], [self._area])
+        self._mix(self._area, [lag.u, lag.mass, self._area, lag.eta], self._area)
+        film.launch_l(kx.set_thickness_l, [lag.mass, self._area, density], [lag.eta])
 
     def _find_shear(self) -> None:
         """Rate at which the flow shears, from its gradient at E, made smooth beside a rim."""
@@ -75,8 +82,8 @@ class Mixing:
             slope, other = other, slope
         film.launch_e(kx.find_shear_e, [slope, e.normal], [self._shear])
 
-    def _mix(self, amount: wp.array, held: list) -> None:
-        """Let L exchange what they have, `held`, with an `amount` [n_l] of it."""
+    def _mix(self, amount: wp.array, held: list, area: wp.array | None = None) -> None:
+        """Let L exchange what they have, `held`, with an `amount` [n_l] of it, which may be their `area`."""
         film, lag, lists = self.film, self.state.l, self.lists
         film.launch_l(
             kx.give_held_l,
@@ -90,7 +97,7 @@ class Mixing:
         u, mass, *rest = held
         clear(self._spent)
         self._find(again=0)
-        inputs = [lists.el.place, mass, self._found]
+        inputs = [lists.el.place, mass, area, self._found]
         film.launch_l(kx.spare_l, inputs, [self._held, Shared(self._pack), Shared(self._spent)])
         self._find(again=1)
         film.launch_l(kx.mix_l, [self._found], [u, mass, *rest])
