@@ -135,7 +135,7 @@ def give_held_l(
 
     What differs between L that a flow has drawn out is their liquid for their surfactant, which both stay with them. By
     area it differs besides where a flow presses the film together, as around every vortex: evened out, what holds the
-    vortex would be gone. So L exchange liquid, and area, for equal amounts of surfactant, and the area held here is that
+    vortex would be gone. So L exchange liquid, and area, for equal amounts of surfactant. The area held here is that
     which they would have at the usual concentration of it.
 
     Args:
