@@ -206,7 +206,7 @@ def many(page: Page, full: bool) -> None:
     r = v.packed(count, frames=frames)
     said = f"{r['measured']} left, {100.0 * r['covered']:.0f} % of the films are partitions; speeds "
     said += f"{1e3 * r['rms_speed']:.1f} mm/s rms, {1e3 * r['speed']:.0f} at most; "
-    said += f"volumes within {r['volume_drift']:.0e} on the way; {r['ms']:.0f} ms a step"
+    said += f"volumes within {r['volume_drift']:.0e} on the way"
     name, theory = f"{count} bubbles, {frames / 240.0:.2g} s", "none lost, at rest"
     page.add(name, theory, "9.1 s a step, 64 cores", "-", "240", said, r["measured"] == count)
 
