@@ -248,7 +248,7 @@ def set_thickness_l(
 def spare_l(
     place: wp.array(dtype=wp.int32),
     mass: wp.array(dtype=float),
-    area: wp.array(dtype=float),
+    amount: wp.array(dtype=float),
     found: wp.array(dtype=vec5),
     # outputs
     held: wp.array(dtype=wp.vec4),
@@ -260,7 +260,7 @@ def spare_l(
     Args:
         place: [n_l] place of each L.
         mass: [n_l] kg.
-        area: [n_l] m^2, where that is what is exchanged besides; null else.
+        amount: [n_l] what is exchanged besides.
         found: [n_l] from `find_exchange_l`.
         held: [n_l] from `give_held_l`.
         pack: the same by places.
@@ -268,8 +268,7 @@ def spare_l(
     """
     i = wp.tid()
     short = mass[i] + found[i][0] < LEFT * mass[i]
-    if area:
-        short = short or area[i] + found[i][1] < LEFT * area[i]
+    short = short or (amount[i] > 0.0 and amount[i] + found[i][1] < LEFT * amount[i])
     if short:
         held[i] = wp.vec4(held[i][0], 0.0, held[i][2], held[i][3])
         write_rate(place[i], 0.0, pack)

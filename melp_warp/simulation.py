@@ -113,9 +113,7 @@ class Simulation:
         kind = FoamBurst if isinstance(scene.shape, Cluster) else Burst
         self.burst = kind(self) if scene.bursts else None
         self.breath = Breath(self) if scene.breathes else None
-        self.respacing = Respacing(self) if scene.numerics.respacing is not None else None
-        resampled = scene.numerics.resampling is not None and scene.l_per_e > 0
-        self.resampling = Resampling(self) if resampled else None
+        self._make_counts()
         try:
             if checkpoint is not None:
                 self.load_checkpoint(checkpoint, changed)
@@ -321,12 +319,19 @@ class Simulation:
             self._remark_film()
         self.notices.end(self.frame)
 
+    def _make_counts(self) -> None:
+        """What puts E and L in and takes them out between frames, where the scene asks for it."""
+        numerics = self.scene.numerics
+        self.respacing = Respacing(self) if numerics.respacing is not None else None
+        resampled = numerics.resampling is not None and self.scene.l_per_e > 0
+        self.resampling = Resampling(self) if resampled else None
+
     def _remark_film(self) -> None:
         """Note a film that has stretched or thinned beyond what its particles resolve (reads back)."""
         film, e = self.film, self.state.e
         count = np.diff(film.first.numpy())
         growth = float(np.sqrt(self.state.gas.numpy()[:, AREA] / count).max()) / self.state.course.spacing
-        if growth > STRETCHED:
+        if growth > STRETCHED and self.respacing is None:
             text = (
                 f"the film has stretched: its E are {growth:.3g} times as far apart as at the start and see what is"
                 " smaller no more; respacing=1.2 puts E and L in where a film's surface moves"
@@ -531,6 +536,7 @@ class Simulation:
         self.stepper.settle()
         film = {"spacing": self.film.spacing, "radius": self.film.radius, "room": self.film.room}
         self._scene = scene
+        self._make_counts()
         self.stepper = make_stepper(film_of(scene, self.state, **film), self.state)
         self.state.course.speed = self._fastest_wave()
         self._keep()

@@ -22,8 +22,9 @@ COARSER = 2.0
 SWEEPS = 4
 """Times that points are chosen; what is left open after that is none of the level."""
 
-FEWEST = 48
-"""Points of a level from which on no coarser one is made."""
+FEWEST, SHARE, COVER = 32, 4.0, 0.45
+"""Points of a level from which on no coarser one is made, counted by the number of E alone so that films made anew have
+as many levels: points over those of the next level, and of the first those on an area of `APART` r each way."""
 
 ROOM = 1.3
 """Room for the points of a level, over what there were when it was made."""
@@ -115,8 +116,10 @@ class Levels:
         self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=film.device)
         self._makers = [_Maker(x, region, ee.rows, ee.stride, film.r)]
         self._lists: list[NeighborList] = []
-        while self._makers[-1].places > FEWEST and self._makers[-1].places < self._makers[-1].n:
+        points = COVER * film.n_e * (film.spacing / (APART * film.r)) ** 2
+        while points > FEWEST:
             self._add()
+            points /= SHARE
         self.levels = [maker.level for maker in self._makers]
 
     def _add(self) -> None:

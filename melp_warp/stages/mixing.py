@@ -69,7 +69,7 @@ class Mixing:
             return
         film, density = self.film, self.film.material.density
         film.launch_l(kx.find_area_l, [lag.mass, lag.eta, density], [self._area])
-        self._mix(self._area, [lag.u, lag.mass, self._area, lag.eta], self._area)
+        self._mix(self._area, [lag.u, lag.mass, self._area, lag.eta])
         film.launch_l(kx.set_thickness_l, [lag.mass, self._area, density], [lag.eta])
 
     def _find_shear(self) -> None:
@@ -82,8 +82,8 @@ class Mixing:
             slope, other = other, slope
         film.launch_e(kx.find_shear_e, [slope, e.normal], [self._shear])
 
-    def _mix(self, amount: wp.array, held: list, area: wp.array | None = None) -> None:
-        """Let L exchange what they have, `held`, with an `amount` [n_l] of it, which may be their `area`."""
+    def _mix(self, amount: wp.array, held: list) -> None:
+        """Let L exchange what they have, `held`, with an `amount` [n_l] of it."""
         film, lag, lists = self.film, self.state.l, self.lists
         film.launch_l(
             kx.give_held_l,
@@ -97,7 +97,7 @@ class Mixing:
         u, mass, *rest = held
         clear(self._spent)
         self._find(again=0)
-        inputs = [lists.el.place, mass, area, self._found]
+        inputs = [lists.el.place, mass, amount, self._found]
         film.launch_l(kx.spare_l, inputs, [self._held, Shared(self._pack), Shared(self._spent)])
         self._find(again=1)
         film.launch_l(kx.mix_l, [self._found], [u, mass, *rest])

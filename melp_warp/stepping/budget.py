@@ -241,6 +241,11 @@ class Budget:
         area, added = self._stages.geometry.area, self._stages.membrane.rigid_air
         film.launch_parts(kb.air_chunks, [solver.b, solver.x, area, e.normal, motion, added, film.n_e], [self._airs])
 
+    def begin(self) -> None:
+        """Sum up from nothing, as at the start of a run: the ledger has what was summed so far."""
+        self.book.zero_()
+        self.part.zero_()
+
     def _carried(self) -> tuple[float, int]:
         """Density of the air that bubbles carry as a whole, and whether E of a foam know their normal motion alone."""
         return 0.0, 0

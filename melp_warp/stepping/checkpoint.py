@@ -34,7 +34,7 @@ from melp_warp.stages.state import Course, State, declared
 from melp_warp.stepping.sampling import boundary_count, state_of
 from melp_warp.stepping.stored import check_course, check_film, check_notices, check_seen, check_stored
 
-FORMAT = 1
+FORMAT = 2
 HEADER, CHECKSUM = "header", "checksum"
 MOST_TOLD = 6
 """Numbers that differ of which a message tells."""

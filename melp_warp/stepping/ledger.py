@@ -231,6 +231,8 @@ class Ledger:
             return
         self.take(reading, self.time)
         self.past = {name: self.flows[name] + pending[name] for name in self.flows}
+        self.past["rim"] -= sum(reading.rim)  # which a rim sums up over the whole run
+        self.past["transfer"] += reading.rim[0]
         self.pushed = list(self.impulse)
         self.owed, self.cause = sum(self.stores.values()) - _spent(pending), cause
 

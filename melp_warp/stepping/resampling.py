@@ -91,6 +91,7 @@ class Resampling:
         budget, state, stepper = sim.stepper.budget, sim.state, sim.stepper
         if budget is not None:
             sim.ledger.cut(budget.read(), budget.pending(), "respacing")
+            budget.begin()
         stored, rng = Stored.of(state), np.random.default_rng([sim.scene.seed, state.frame, len(wanted)])
         liquid, home = sim.scene.material.density, stepper.lists.le.home.numpy()
         free = stored.there() & (stored.arrays["l.mass"] > 0.0)

@@ -50,7 +50,7 @@ def system(made, device):
     pair = operator.pair.numpy()
     pair[k] = np.exp(-0.7 * distance**2)
     operator.pair.assign(pair)
-    film = SimpleNamespace(device=device, n_e=n, r=r)
+    film = SimpleNamespace(device=device, n_e=n, r=r, spacing=h)
     region = wp.zeros(len(places), dtype=wp.int32, device=device)
     lists = SimpleNamespace(ee=ee, state=SimpleNamespace(memory=SimpleNamespace(x=x), e=SimpleNamespace(region=region)))
     return film, operator, Levels(film, lists), len(places)

@@ -257,3 +257,17 @@ def test_the_cache_shows_circulation_on_request(tmp_path):
     assert sparse.carried["circulation"].sum() == pytest.approx(held.sum(), abs=1e-4 * np.abs(held).sum())
     assert check_cache(folder) == []
     assert main(["run", "equilibrium", "--set", "show=circulation", "--out", str(tmp_path / "none")]) == 2
+
+
+def test_levels_are_the_same_after_a_checkpoint(tmp_path):
+    """Their number follows that of the E: 140 E had one level in a run, and two after its checkpoint was read."""
+    script = load_scene("giant_bubble")
+    scene = script.build(script.parameters.values({"e_count": 140, "l_per_e": 2, "carrier": "circulation"}))
+    whole = Simulation(scene)
+    for _ in range(3):
+        whole.advance_frame()
+    whole.save_checkpoint(tmp_path / "checkpoint.npz")
+    rest = Simulation(scene, checkpoint=tmp_path / "checkpoint.npz")
+    for simulation in (whole, rest):
+        simulation.advance_frame()
+    assert whole.state.l.x.numpy().tobytes() == rest.state.l.x.numpy().tobytes()

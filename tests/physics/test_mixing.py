@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from melp_warp import Carried
 from melp_warp.cli import main
 from melp_warp.material import Material
 from melp_warp.measure.grain import grain
@@ -153,3 +154,17 @@ def test_report_tells_the_grain_of_frames(tmp_path, capsys):
 def test_absent_where_it_is_not_asked_for():
     simulation = Simulation(Scene("plain", Rectangle(WIDTH, WIDTH), 300, 4))
     assert simulation.stepper.mixing is None
+
+
+def test_no_declared_amount_falls_below_zero():
+    """Strips of dye in a flow of 2 m/s that shears them: none of them is left with less than nothing."""
+    dye = Carried("dye", "kg/m^2", start=lambda x: 1e-6 * (np.sin(300.0 * x[:, 2]) > 0.0))
+    flow = lambda x: np.stack([2.0 * np.sin(80.0 * x[:, 2]), 0.0 * x[:, 0], 0.0 * x[:, 0]], axis=1)  # noqa: E731
+    numerics = Numerics(mixing=2.0, carrier="circulation")
+    simulation = Simulation(Scene("dyed", Disc(0.05), 300, 8, velocity=flow, numerics=numerics, carried=(dye,)))
+    held = simulation.state.carried["dye"]
+    total = f64(held).sum()
+    for _ in range(4):
+        simulation.advance_frame()
+        assert f64(held).min() >= 0.0
+    assert f64(held).sum() == pytest.approx(total, rel=1e-5)
