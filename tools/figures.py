@@ -17,6 +17,7 @@ from pathlib import Path
 from melp_warp.cli import main as melp_warp
 from melp_warp.preview.draw import contact_sheet, render, save_image
 from melp_warp.preview.pictures import Cache
+from melp_warp.tables import wrap_markdown
 
 FIGURES = Path(__file__).parent.parent / "docs" / "figures"
 GALLERY = FIGURES.parent / "gallery.md"
@@ -97,7 +98,8 @@ def write_gallery(sections: dict[str, str]) -> None:
     text = GALLERY.read_text() if GALLERY.exists() else ""
     kept = dict(re.findall(r"^## (\w+)\n\n(.*?)(?=\n## |\Z)", text, re.M | re.S))
     parts = kept | sections
-    GALLERY.write_text(HEAD + "".join(f"\n## {name}\n\n{parts[name]}" for name in SHEETS if name in parts))
+    text = HEAD + "".join(f"\n## {name}\n\n{parts[name]}" for name in SHEETS if name in parts)
+    GALLERY.write_text(wrap_markdown(text))
 
 
 def main() -> None:
