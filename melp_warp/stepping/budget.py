@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from melp_warp.device.launch import copy, launch
+from melp_warp.device.launch import clear, copy, launch
 from melp_warp.device.linear import RationalLaplacian
 from melp_warp.kernels import budget as kb
 from melp_warp.kernels.boundary import vec7d
@@ -243,8 +243,8 @@ class Budget:
 
     def begin(self) -> None:
         """Sum up from nothing, as at the start of a run: the ledger has what was summed so far."""
-        self.book.zero_()
-        self.part.zero_()
+        clear(self.book)
+        clear(self.part)
 
     def _carried(self) -> tuple[float, int]:
         """Density of the air that bubbles carry as a whole, and whether E of a foam know their normal motion alone."""
