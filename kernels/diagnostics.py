@@ -2,8 +2,12 @@
 
 import warp as wp
 
+from melp_warp.kernels.gas import AREA
+from melp_warp.kernels.regions import part_range, part_region
+
 wp.set_module_options({"enable_backward": False})
 
+vec6d = wp.types.vector(length=6, dtype=wp.float64)
 vec12d = wp.types.vector(length=12, dtype=wp.float64)
 
 
@@ -92,6 +96,48 @@ def energy_chunks(
             sides = 2.0 - cover[i]
         total += wp.float64(sides * (tension[region[i]] - slope * gamma[i]) * area[i])
     part[c] = total
+
+
+@wp.kernel
+def look_chunks(
+    x: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    eta: wp.array(dtype=float),
+    behind: wp.array(dtype=wp.int32),
+    gas: wp.array2d(dtype=wp.float64),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    part: wp.array(dtype=vec6d),
+):
+    """Parts of what must be known of a film at the end of a frame.
+
+    Slots: 0-2 place of the first E, 3 least eta and 4 the E that has it, 5 mean area of an E of the region.
+
+    Args:
+        x: [n] m.
+        mass: [n_e] kg; E without are not there.
+        eta: [n] m.
+        behind: [n_e] 1 for E that a free rim has passed; null for a film without holes.
+        gas: [regions, 6] see `gas`.
+        first: [regions + 1] first E of each region.
+        part: parts, region by region.
+    """
+    c = wp.tid()
+    region = part_region(c, first, part.shape[0])
+    start, stop = part_range(c, first, part.shape[0])
+    seen = vec6d()
+    for k in range(3):
+        seen[k] = wp.float64(x[0][k])
+    seen[3] = wp.float64(1.0e30)
+    for i in range(start, stop):
+        there = mass[i] > 0.0
+        if behind:
+            there = there and behind[i] == 0
+        if there and wp.float64(eta[i]) < seen[3]:
+            seen[3] = wp.float64(eta[i])
+            seen[4] = wp.float64(i)
+    seen[5] = gas[region, AREA] / wp.float64(wp.max(first[region + 1] - first[region], 1))
+    part[c] = seen
 
 
 @wp.kernel

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationErro
 from melp_warp.features import Features
 from melp_warp.frame import CurveFrame, ParticleFrame
 from melp_warp.kernels import advance as ka
+from melp_warp.kernels import diagnostics as kd
 from melp_warp.scene import MOST_STEPS, MOST_STEPS_AGAIN, Scene
 from melp_warp.stages.film import THINNEST, Film
 from melp_warp.stages.notices import Notices
@@ -143,7 +145,7 @@ class Simulation:
             course.ledger.open(self._weighed())
         self._good = None
         self._keep()
-        self._remark()
+        self._remark(self._look())
 
     @property
     def scene(self) -> Scene:
@@ -248,14 +250,26 @@ class Simulation:
         self.state.time = end
         self.state.course.cap *= 2.0
         self.stepper.settle()
-        self._remark()
-        self._recentre()
+        seen = self._look()
+        self._remark(seen)
+        self._recentre(seen)
         follows = self.respacing is not None and not self.gone and self.respacing.follow()
         if not follows and self.breath is not None and self.film.features.closed:
             self.breath.respace()
         if self.resampling is not None and not self.gone:
             self.resampling.follow()
         self._keep()
+
+    @contextmanager
+    def new_account(self, cause: str) -> Iterator[None]:
+        """Close the energy budget before particles are others, then open one of what there is; `cause` is its term."""
+        budget = self.stepper.budget
+        if budget is not None:
+            self.ledger.cut(budget.read(), budget.pending(), cause)
+            budget.begin()
+        yield
+        if self.stepper.budget is not None:
+            self.ledger.open(self._weighed())
 
     def _weighed(self) -> Reading:
         """The budget with the liquid where it is now (reads back)."""
@@ -310,13 +324,23 @@ class Simulation:
         if self.ledger is not None:
             self.ledger.remark(self.notices, self.frame)
 
-    def _remark(self) -> None:
-        """Note what must be known of the frame that is done (reads back)."""
+    def _look(self) -> np.ndarray | None:
+        """What `kernels.diagnostics.look_chunks` sees of the film, [parts, 6] (reads back); None where it is gone."""
+        if self.gone:
+            return None
+        film, e = self.film, self.state.e
+        seen = film.parts(kd.vec6d)
+        inputs = [e.x, e.mass, self.stepper.fields.eta, e.behind, self.state.gas, film.first]
+        film.launch_parts(kd.look_chunks, inputs, [seen])
+        return seen.numpy()
+
+    def _remark(self, seen: np.ndarray | None) -> None:
+        """Note what must be known of the frame that is done, `seen` of its film included (reads back)."""
         if self.stepper.budget is not None:
             self.ledger.take(self.stepper.budget.read(), self.time - self.last_dt)
         self.stepper.remark(self.notices)
-        if not self.gone:
-            self._remark_film()
+        if seen is not None:
+            self._remark_film(seen)
         self.notices.end(self.frame)
 
     def _make_counts(self) -> None:
@@ -326,27 +350,22 @@ class Simulation:
         resampled = numerics.resampling is not None and self.scene.l_per_e > 0
         self.resampling = Resampling(self) if resampled else None
 
-    def _remark_film(self) -> None:
-        """Note a film that has stretched or thinned beyond what its particles resolve (reads back)."""
-        film, e = self.film, self.state.e
-        count = np.diff(film.first.numpy())
-        growth = float(np.sqrt(self.state.gas.numpy()[:, AREA] / count).max()) / self.state.course.spacing
+    def _remark_film(self, seen: np.ndarray) -> None:
+        """Note a film that has stretched or thinned beyond what its particles resolve."""
+        growth = float(np.sqrt(seen[:, 5].max())) / self.state.course.spacing
         if growth > STRETCHED and self.respacing is None:
             text = (
                 f"the film has stretched: its E are {growth:.3g} times as far apart as at the start and see what is"
                 " smaller no more; respacing=1.2 puts E and L in where a film's surface moves"
             )
             self.notices.note("stretched", growth, text)
-        eta = np.where(e.mass.numpy() > 0.0, self.stepper.fields.eta.numpy()[: film.n_e], np.inf)
-        if e.behind is not None:
-            eta[e.behind.numpy() == 1] = np.inf
-        i = int(np.argmin(eta))
-        if eta[i] < THINNEST:
+        eta, i = seen[np.argmin(seen[:, 3]), 3:5].tolist()
+        if eta < THINNEST:
             text = (
-                f"the film at E {i} is {1e9 * eta[i]:.3g} nm thick: none is thinner than {1e9 * THINNEST:g} nm;"
+                f"the film at E {i:.0f} is {1e9 * eta:.3g} nm thick: none is thinner than {1e9 * THINNEST:g} nm;"
                 " rupture_thickness lets it burst"
             )
-            self.notices.note("thinner than a film", 1.0 / max(float(eta[i]), 1e-30), text)
+            self.notices.note("thinner than a film", 1.0 / max(eta, 1e-30), text)
 
     def _advance_to(self, end: float, watched: bool) -> None:
         """Take steps until `end` (s), each checked at once if it is `watched`."""
@@ -402,12 +421,12 @@ class Simulation:
             return (course.cap, 2.0 * room) if 2.0 * room < MOST_ROOM else None
         return None
 
-    def _recentre(self) -> None:
+    def _recentre(self, seen: np.ndarray | None) -> None:
         """Measure positions from a film itself once it has flown far."""
         film, state = self.film, self.state
-        if not film.features.floats:
+        if seen is None or not film.features.floats:
             return
-        away = state.e.x[:1].numpy()[0].astype(np.float64)
+        away = seen[0, :3]
         if np.abs(away).max() > 2.0 * FAR * film.radius:
             for x in (state.e.x, *([state.l.x] if state.l else []), *(held["x"] for held in state.sets.values())):
                 launch(ka.shift_origin_e, x.shape[0], [wp.vec3(*away)], [x], self.device)
@@ -461,16 +480,13 @@ class Simulation:
 
     def _set_up(self, stored: Stored) -> None:
         """Go on with a state of other regions or with other holes."""
-        budget, wall = self.stepper.budget, self.stepper.wall
+        wall = self.stepper.wall
         self.stepper.remark(self.notices)
-        if budget is not None:
-            self.ledger.cut(budget.read(), budget.pending())
-        _, self.stepper = set_up_again(self.scene, stored, self.state, self.film)
-        self.stepper.wall |= wall
-        if self.state.course.reach == 0.0 and not self.gone:
-            self.state.course.reach = self._longest_way()
-        if self.stepper.budget is not None:
-            self.ledger.open(self._weighed())
+        with self.new_account("events"):
+            _, self.stepper = set_up_again(self.scene, stored, self.state, self.film)
+            self.stepper.wall |= wall
+            if self.state.course.reach == 0.0 and not self.gone:
+                self.state.course.reach = self._longest_way()
 
     def largest_step(self) -> float:
         """The scene's dt, or the step in which the fastest particle moves `cfl` spacings, s.

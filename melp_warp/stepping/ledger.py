@@ -225,7 +225,7 @@ class Ledger:
             "momentum": (reading.momentum - np.array(self.momentum) - np.array(self.impulse)).tolist(),
         }
 
-    def cut(self, reading: Reading, pending: Mapping[str, float], cause: str = "events") -> None:
+    def cut(self, reading: Reading, pending: Mapping[str, float], cause: str) -> None:
         """Close the account of a budget whose regions or E are about to change, its last step included."""
         if reading.fresh:
             return

@@ -53,7 +53,8 @@ class Resampling:
             lack = self._lack(density, region == k)
             wanted[k] = int(np.ceil(max(lack[lack > 0.0].sum(), -lack[lack < 0.0].sum())))
         if wanted:
-            self._move(wanted, density)
+            with self._sim.new_account("respacing"):
+                self._move(wanted, density)
         return bool(wanted)
 
     def _homes(self) -> np.ndarray:
@@ -88,10 +89,7 @@ class Resampling:
         Those beyond the factor come first, where they are enough.
         """
         sim = self._sim
-        budget, state, stepper = sim.stepper.budget, sim.state, sim.stepper
-        if budget is not None:
-            sim.ledger.cut(budget.read(), budget.pending(), "respacing")
-            budget.begin()
+        state, stepper = sim.state, sim.stepper
         stored, rng = Stored.of(state), np.random.default_rng([sim.scene.seed, state.frame, len(wanted)])
         liquid, home = sim.scene.material.density, stepper.lists.le.home.numpy()
         free = stored.there() & (stored.arrays["l.mass"] > 0.0)
@@ -117,8 +115,6 @@ class Resampling:
             stepper.l_advance.project()
         if stepper.rim is not None:
             stepper.rim.confine()
-        if budget is not None:
-            sim.ledger.open(sim._weighed())
 
 
 def _first(best: np.ndarray, good: np.ndarray, own: np.ndarray, count: int) -> np.ndarray:

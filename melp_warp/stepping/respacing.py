@@ -212,21 +212,16 @@ class Respacing:
         if not wanted:
             return False
         sim = self._sim
-        budget = sim.stepper.budget
-        if budget is not None:
-            sim.ledger.cut(budget.read(), budget.pending(), "respacing")
-        before, surface = sim.state, Surface(sim.stepper)
-        stored = Stored.of(before)
-        rng = np.random.default_rng([sim.scene.seed, before.frame, len(stored.ids["e"])])
-        count = {k: int((surface.region == k).sum()) for k in wanted}
-        for k, number in wanted.items():
-            self._change_e(stored, surface, k, number, rng)
-            if "l" in stored.kinds:
-                own = int(((stored.region("l") == k) & (stored.arrays["l.mass"] > 0.0)).sum())
-                count_l(stored, k, round(own * number / count[k]), sim.scene.material.density, rng)
-        self._go_on(stored, surface)
-        if sim.stepper.budget is not None:
-            sim.ledger.open(sim._weighed())
+        with sim.new_account("respacing"):
+            surface, stored = Surface(sim.stepper), Stored.of(sim.state)
+            rng = np.random.default_rng([sim.scene.seed, sim.state.frame, len(stored.ids["e"])])
+            count = {k: int((surface.region == k).sum()) for k in wanted}
+            for k, number in wanted.items():
+                self._change_e(stored, surface, k, number, rng)
+                if "l" in stored.kinds:
+                    own = int(((stored.region("l") == k) & (stored.arrays["l.mass"] > 0.0)).sum())
+                    count_l(stored, k, round(own * number / count[k]), sim.scene.material.density, rng)
+            self._go_on(stored, surface)
         return True
 
     def _change_e(self, stored: Stored, surface: Surface, k: int, wanted: int, rng: np.random.Generator) -> None:
