@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from melp_warp.kernels.free_rim import Chain, nearest_on_rim
+from melp_warp.kernels.free_rim import Chain, give_to_rim, passed_by
 
 wp.set_module_options({"enable_backward": False})
 
@@ -54,11 +54,8 @@ def sweep_amount(
         amount: [n_f] how much the points of the rims hold.
     """
     i = wp.tid()
-    if behind[i] == 1 or edge[home[i]][3] > reach:
+    if behind[i] == 1:
         return
-    found = nearest_on_rim(rim, x[i], region[i])
-    if found[2] >= 0.0 or found[3] > reach:
-        return
-    k = int(found[0])
-    wp.atomic_add(amount, k, (wp.float64(1.0) - wp.float64(found[1])) * wp.float64(held[i]))
-    wp.atomic_add(amount, rim.after[k], wp.float64(found[1]) * wp.float64(held[i]))
+    found = passed_by(rim, x[i], region[i], edge[home[i]], reach)
+    if found[0] >= 0.0:
+        give_to_rim(rim, found, held[i], amount)

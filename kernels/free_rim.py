@@ -350,6 +350,34 @@ def smooth_rim_f(
     smoothed[k] = velocity
 
 
+@wp.func
+def passed_by(rim: Chain, x: wp.vec3, region: int, edge: wp.vec4, reach: float) -> wp.vec4:
+    """Where on the rims a particle is that one has passed, see `nearest_on_rim`; below 0 first where none has.
+
+    Args:
+        rim: the rims.
+        x: m.
+        region: index of its region.
+        edge: that of its home, see `find_edge_e`.
+        reach: distance of its home within which a particle may meet a rim, m.
+    """
+    found = wp.vec4(-1.0, 0.0, 0.0, 0.0)
+    if edge[3] <= reach:
+        near = nearest_on_rim(rim, x, region)
+        if near[2] < 0.0 and near[3] <= reach:
+            found = near
+    return found
+
+
+@wp.func
+def give_to_rim(rim: Chain, found: wp.vec4, held: float, points: wp.array(dtype=wp.float64)):
+    """Share what a particle holds among the two points of the rim that it is between."""
+    k = int(found[0])
+    share = wp.float64(found[1])
+    wp.atomic_add(points, k, (wp.float64(1.0) - share) * wp.float64(held))
+    wp.atomic_add(points, rim.after[k], share * wp.float64(held))
+
+
 @wp.kernel
 def sweep(
     x: wp.array(dtype=wp.vec3),
@@ -381,21 +409,14 @@ def sweep(
         amount: [n_f] their surfactant, mol on one interface.
     """
     i = wp.tid()
-    if behind[i] == 1 or edge[home[i]][3] > reach:
+    if behind[i] == 1:
         return
-    found = nearest_on_rim(rim, x[i], region[i])
-    if found[2] >= 0.0 or found[3] > reach:
+    found = passed_by(rim, x[i], region[i], edge[home[i]], reach)
+    if found[0] < 0.0:
         return
     behind[i] = 1
-    k = int(found[0])
-    for side in range(2):
-        point = k
-        share = wp.float64(1.0) - wp.float64(found[1])
-        if side == 1:
-            point = rim.after[k]
-            share = wp.float64(found[1])
-        wp.atomic_add(taken, point, share * wp.float64(mass[i]))
-        wp.atomic_add(amount, point, share * wp.float64(surfactant[i]))
+    give_to_rim(rim, found, mass[i], taken)
+    give_to_rim(rim, found, surfactant[i], amount)
 
 
 @wp.kernel

@@ -270,7 +270,7 @@ def _limit_memory(size: int) -> None:
 
 
 def _answer_frame(question: dict, say) -> None:
-    from melp_warp.usd.frame_checks import check_sizes
+    from melp_warp.usd.conditions import check_sizes
     from melp_warp.usd.reading import read_prim
     from melp_warp.usd.schema import frame_path
 

@@ -24,7 +24,7 @@ import numpy as np
 import melp_warp
 from melp_warp.errors import InputError, require
 from melp_warp.optics import DISPLAY_GAIN, WATER_INDEX, display_color
-from melp_warp.usd.frame_checks import check_arrays, check_carried
+from melp_warp.usd.conditions import check_arrays, check_carried
 from melp_warp.usd.layers import Origin, export, frame_layer, manifest_layer, root_layer, set_range
 from melp_warp.usd.schema import (
     FRAMES,

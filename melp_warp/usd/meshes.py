@@ -11,7 +11,7 @@ import numpy as np
 from melp_warp.errors import InputError, require
 from melp_warp.frame import MeshFrame, WholeFrame
 from melp_warp.optics import display_color
-from melp_warp.usd.frame_checks import check_arrays
+from melp_warp.usd.conditions import check_arrays
 from melp_warp.usd.layers import (
     MATERIAL,
     declare,

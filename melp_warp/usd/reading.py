@@ -10,7 +10,7 @@ import numpy as np
 
 from melp_warp.errors import InputError, SimulationError, require
 from melp_warp.frame import CurveFrame, MeshFrame, ParticleFrame, WholeFrame
-from melp_warp.usd.frame_checks import check_arrays
+from melp_warp.usd.conditions import check_arrays
 from melp_warp.usd.layers import open_layer, origin_of, reason
 from melp_warp.usd.packing import refine_normals
 from melp_warp.usd.schema import (

@@ -42,9 +42,6 @@ from melp_warp.study.limits.scenes import (
 )
 from melp_warp.study.validation import GRAVITY, small_giant
 
-# The matrix
-
-
 _BALL = Sphere(RADIUS)
 
 

@@ -12,7 +12,6 @@ from melp_warp.registry import load_scene, scene_names
 from melp_warp.study.limits.judging import Case, Error, Verdict, judge
 from melp_warp.study.limits.scenes import carried_out
 
-# Random scenes
 SMALL = {"e_count": (60, 900), "l_per_e": (0, 6), "frames": (2, 2), "fps": (24.0, 1e6), "bubbles": (2, 4)}
 """Ranges of the keys that decide how long a run takes; the others are drawn from all that they take."""
 

@@ -154,7 +154,6 @@ def equilibrium(e_count: int = 1050, l_per_e: int = 16, duration: float = 5.0, *
     }
 
 
-# The whole
 def giant_bubble(frames: int = 300, e_count: int = 2000, l_per_e: int = 16, **overrides) -> dict:
     """The scene giant_bubble in steps of 1/60 s stays finite, keeps its gas and loses no L.
 

@@ -24,7 +24,6 @@ from melp_warp.study.validation.shared import (
 )
 
 
-# Flow along the film
 def elastic_speed(material: Material) -> float:
     """Speed of Marangoni (elastic) waves, sqrt(2 R T Gamma_0/m), m/s."""
     return math.sqrt(2.0 * material.rt * material.surfactant / material.areal_mass)

@@ -15,7 +15,6 @@ from melp_warp.simulation import Simulation
 from melp_warp.study.validation.shared import CLEAN, GRAVITY, e_points, l_array, small_giant, steps
 
 
-# Rigid motion
 def free_fall(
     duration: float = 0.5,
     dt: float = 1.0 / 60.0,

@@ -20,7 +20,6 @@ CLEAN = Material(surfactant=0.0)
 """Pure water: tension 0.0728 N/m, 400 nm."""
 
 
-# What the cases share
 def steps(simulation: Simulation, count: int, dt: float, observe: Callable[[], object] | None = None) -> np.ndarray:
     """Take `count` steps of dt (s), checking each; what `observe()` returns before the first and after each step.
 

@@ -26,7 +26,6 @@ from melp_warp.study.validation.shared import (
 )
 
 
-# Normal motion: E alone
 def resting_bubble(
     radius: float = 0.05,
     e_count: int = 5000,
