@@ -512,10 +512,10 @@ NOTES = """\
 
 * **Momentum of a free bubble** on which a vortex pair runs: what it makes falls with the spacing, 1.8 % of mass
   times speed with 2,000 E in a fifth of a turn ([vortices.md](vortices.md)).
-* **What is left of omega_n is the step's, but for 0.05 %.** The midpoint rule is slow by (omega dt)^2/12, 0.21 % at T/40.
-  Freed of that modes 2 to 4 of 1,200 E are within 0.06 %, as the drum is, whether E are evened out or not; why mode 2 does
-  not come nearer with more E (0.044 % at 600, 0.051 % at 1,200, T/320) is open. So the order in the spacing shows in
-  short waves alone.
+* **What is left of omega_n is the step's, but for 0.05 %.** The midpoint rule is slow by (omega dt)^2/12, 0.21 % at
+  T/40. Freed of that modes 2 to 4 of 1,200 E are within 0.06 %, as the drum is, whether E are evened out or not; why
+  mode 2 does not come nearer with more E (0.044 % at 600, 0.051 % at 1,200, T/320) is open. So the order in the
+  spacing shows in short waves alone.
 * **Second-order paths of backward Euler (`flow=backward_euler`, `l_order=2`) harm vortices.** The velocity an L carries
   is not turned along its curved path, so each step multiplies the angular momentum by cos(omega dt). With straight
   paths (order 1) r x u is kept exactly, which is the symplectic Euler scheme; keep to it. With the midpoint rule, the
