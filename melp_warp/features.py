@@ -10,6 +10,9 @@ from melp_warp.particle_set import ParticleSet
 from melp_warp.scene import Scene
 from melp_warp.stage import Stage
 
+COARSE_FROM = 10_000
+"""E of a bubble or film from which on solves whose iterations grow with their number get coarser levels."""
+
 
 @dataclass(frozen=True)
 class Features:
@@ -37,6 +40,7 @@ class Features:
             film that may burst or whose gas comes and goes.
         bursts: the film may get holes.
         holed: a single film has got them: what it enclosed, and the air around it, count no more.
+        coarse: solves that would take the more iterations the more E there are get coarser levels (stages/levels.py).
         carried: what L carry besides liquid and surfactant.
         stages, sets: parts of the step and particles of the scene's own.
     """
@@ -59,6 +63,7 @@ class Features:
     budget: bool
     bursts: bool
     holed: bool
+    coarse: bool
     carried: tuple[Carried, ...]
     stages: tuple[type[Stage], ...]
     sets: tuple[ParticleSet, ...]
@@ -93,6 +98,7 @@ class Features:
             budget=scene.budget and not (single or (scene.bursts and not foam) or scene.breathes),
             bursts=scene.bursts,
             holed=holed,
+            coarse=scene.e_count >= COARSE_FROM * (len(scene.shape.bubbles) if foam else 1),
             carried=scene.carried,
             stages=scene.stages,
             sets=scene.sets,

@@ -8,10 +8,13 @@ import warp as wp
 
 from melp_warp.device.launch import copy
 from melp_warp.device.linear import ConjugateGradient, LinearOperator
+from melp_warp.device.multilevel import MultilevelGradient
+from melp_warp.features import Features
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import redistribute as kr
 from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
+from melp_warp.stages.levels import levels_of
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.state import State
 
@@ -40,7 +43,11 @@ class EulerianAdvance:
     """
 
     needs = ("lists", "geometry")
-    kernels = ("advance", "redistribute", "linear")
+
+    @staticmethod
+    def kernels(features: Features) -> tuple[str, ...]:
+        """Files of kernels."""
+        return "advance", "redistribute", "linear", *(("levels",) if features.coarse else ())
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
@@ -72,9 +79,7 @@ class Redistribution:
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
-        operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
-        most = math.ceil(SHIFT_ITERATIONS * math.sqrt(film.n_e))
-        self.solver = ConjugateGradient(operator, film.total, wp.float32, SHIFT_TOLERANCE, most)
+        self.solver = self._make_solver()
         size = math.sqrt(film.n_e / film.regions / (4.0 * math.pi))
         self._limit = film.spacing * min(SHIFT_LIMIT, SHIFT_SHARE * size)
         self.spread = film.zeros(film.regions, wp.vec3)
@@ -83,6 +88,14 @@ class Redistribution:
         self._u_mid = film.zeros(film.n_e)
         # the liquid of a film with L is theirs
         self._swept = None if film.features.lagrangian else [film.zeros(film.n_e, wp.vec2) for _ in range(2)]
+
+    def _make_solver(self) -> ConjugateGradient:
+        film, lists = self.film, self.lists
+        operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=self.geometry.weight)
+        if film.features.coarse:
+            return MultilevelGradient(operator, film.total, SHIFT_TOLERANCE, None, levels_of(film, lists))
+        most = math.ceil(SHIFT_ITERATIONS * math.sqrt(film.n_e))
+        return ConjugateGradient(operator, film.total, wp.float32, SHIFT_TOLERANCE, most)
 
     def apply(self, u_mid: wp.array) -> None:
         """Shift E once towards even density; nothing moves where the spread is below the scene's threshold.

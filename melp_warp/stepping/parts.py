@@ -108,5 +108,5 @@ def kernel_files(f: Features) -> list[str]:
     """Files of `melp_warp.kernels` whose kernels a run launches."""
     kinds = [*(kind for kind in parts_of(f).values() if kind is not None), *stages_of(f)]
     rims = ("free_rim",) if f.bursts else ()
-    start = EulerianAdvance.kernels if f.moving else ()  # E are evened out at first
+    start = kernels_of(EulerianAdvance, f) if f.moving else ()  # E are evened out at first
     return sorted({*ALWAYS, *rims, *start, *(file for kind in kinds for file in kernels_of(kind, f))})

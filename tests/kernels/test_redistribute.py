@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from melp_warp import features
 from melp_warp.shapes import Jittered, Sphere
 from melp_warp.stages.advance import SHIFT_LIMIT, SHIFT_TOLERANCE
 from tests.helpers import fitted_order, make_stepper, place_e
@@ -194,3 +195,42 @@ def test_solve_comes_to_its_tolerance(device):
         iterations, residual = s.redistribution.solver.report()
         print(f"{count} E: {iterations} iterations, residual {residual:.3f}")
         assert residual < SHIFT_TOLERANCE
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """Coarser levels for films of any size."""
+    monkeypatch.setattr(features, "COARSE_FROM", 0)
+
+
+@pytest.mark.parametrize("most", [6000, pytest.param(20000, marks=pytest.mark.slow)])
+def test_iterations_do_not_grow_with_levels(most, coarse, device):
+    """From 2,000 to 20,000 E at most by half; Jacobi's grow threefold, as the film's width in E."""
+    taken = []
+    for count in (2000, most):
+        _, s = clustered(count, device)
+        s.redistribution.apply(s.membrane.u_mid)
+        iterations, residual = s.redistribution.solver.report()
+        print(f"{count} E: {iterations} iterations, residual {residual:.3f}")
+        assert residual < SHIFT_TOLERANCE
+        taken.append(iterations)
+    assert taken[1] <= 1.5 * taken[0]
+    assert taken[1] <= 6
+
+
+def test_levels_even_out_as_jacobi_does(monkeypatch, device):
+    """With and without them E are shifted alike to the solve's tolerance, and end as even."""
+    places, spread = [], []
+    for first in (10**9, 0):
+        monkeypatch.setattr(features, "COARSE_FROM", first)
+        _, s = clustered(1500, device)
+        before = f64(s.state.e.x)
+        s.redistribution.apply(s.membrane.u_mid)
+        places.append(f64(s.state.e.x) - before)
+        s.lists.rebuild()
+        s.geometry.update()
+        spread.append(apply(s, 40)[-1])
+    plain, levels = places
+    print(f"differ by {np.linalg.norm(levels - plain) / np.linalg.norm(plain):.3f}; spread {spread}")
+    assert np.linalg.norm(levels - plain) < 2.0 * SHIFT_TOLERANCE * np.linalg.norm(plain)
+    assert spread[1] < max(1.2 * spread[0], 0.05)
