@@ -9,7 +9,7 @@ import numpy as np
 from melp_warp.errors import require
 
 _TABLE = 256
-_CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+_CORNERS = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 _PEAK = np.sqrt(3.0) / 2.0
 """Largest value with unit gradients: in a cell's middle, all eight pointing at it or away from it."""
 
@@ -33,14 +33,16 @@ class _Octave:
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """[n] values in [-1, 1] at [n, 3] points in cells."""
         cell = np.floor(x).astype(np.int64)
-        inside = x - cell
-        fade = _fade(inside)
+        from_low = np.ascontiguousarray((x - cell).T)
+        fade = _fade(from_low)
+        weight, inside = (1.0 - fade, fade), (from_low, from_low - 1.0)
+        p, (cx, cy, cz) = self.permutation, cell.T
+        gx, gy, gz = np.ascontiguousarray(self.gradients.T)
         total = np.zeros(len(x))
-        for corner in _CORNERS:
-            i, j, k = ((cell + corner) % _TABLE).T
-            index = self.permutation[(self.permutation[(self.permutation[i] + j) % _TABLE] + k) % _TABLE]
-            weight = np.prod(np.where(corner == 1, fade, 1.0 - fade), axis=1)
-            total += weight * np.einsum("ij,ij->i", self.gradients[index], inside - corner)
+        for i, j, k in _CORNERS:
+            index = p[(p[(p[(cx + i) % _TABLE] + cy + j) % _TABLE] + cz + k) % _TABLE]
+            slope = gx[index] * inside[i][0] + gz[index] * inside[k][2] + gy[index] * inside[j][1]
+            total += weight[i][0] * weight[j][1] * weight[k][2] * slope
         return total / _PEAK
 
 

@@ -25,7 +25,14 @@ SCENES = (
     "four_bubbles",
     "cluster",
     "foam_mountain",
+    "film_burst",
+    "burst_pair",
+    "inflation",
+    "foam_pops",
 )
+HELD = ("mass", "border_mass", "spilled", "rim_mass", "drop_mass")
+"""What holds the liquid of a film: the film, its border, what ran over it, free rims and their drops."""
+
 EVEN = 0.3
 """Largest spread of the E density, (max - min)/mean."""
 
@@ -41,8 +48,8 @@ def run(name: str, factor: int, frames: int = 60) -> dict:
     for _ in range(frames):
         simulation.advance_frame()
         seen = simulation.diagnostics()
-        spread = max(spread, seen["e_spread"])
-    mass = seen["mass"] + seen.get("border_mass", 0.0) + seen.get("spilled", 0.0)
+        spread = max(spread, seen.get("e_spread", 0.0))
+    mass = sum(seen.get(name, 0.0) for name in HELD)
     found = {"spread": spread, "mass": abs(mass / start["mass"] - 1.0), "kinetic": seen["kinetic_energy"]}
     print(f"{name} x {factor}: {seen['e_count']} E, {', '.join(f'{k} {v:.3g}' for k, v in found.items())}")
     return found
