@@ -149,7 +149,7 @@ def load(sim, path, data):
     return True
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [25, pytest.param(1000, marks=pytest.mark.slow)])
 def test_garbled_checkpoints(made, count, tmp_path):
     sim, data = made
     taken = sum(load(sim, tmp_path / "c.npz", garbled(data, random.Random(seed))) for seed in range(count))

@@ -293,7 +293,7 @@ def look_at(folder, seed, capfd):
     return code
 
 
-@pytest.mark.parametrize("count", [150, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(3000, marks=pytest.mark.slow)])
 def test_hostile_folders(sound, count, tmp_path, capfd):
     outside = tmp_path / "outside"
     outside.mkdir()

@@ -92,6 +92,7 @@ def test_the_checker_sees_every_fault(device):
 # --- geometry ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_areas_of_double_bubbles_converge(device):
     """Caps, partition and border against the exact ones, for equal bubbles and for unequal ones."""
     for double in (Double(), Double(1.0, 0.6)):

@@ -25,7 +25,7 @@ def departure(simulation):
     return radius, gas[1] * radius / (4.0 * sigma) - 1.0
 
 
-@pytest.mark.parametrize("air", ["none", "added_mass"])
+@pytest.mark.parametrize("air", [pytest.param("none", marks=pytest.mark.slow), "added_mass"])
 def test_a_bubble_is_blown_up_to_twice_its_radius(air):
     """4 sigma/R on the way to 0.5 %, even E, all liquid there, spacing as of the film's size."""
     gas = ((2.0, 8.0),)

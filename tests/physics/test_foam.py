@@ -179,6 +179,7 @@ def test_static_balance_converges_to_plateau():
     assert fitted_order([1.0, np.sqrt(0.3)], [coarse["error"], fine["error"]]) > 0.9
 
 
+@pytest.mark.slow
 def test_three_bubbles_meet_at_equal_angles():
     """900 E a bubble: dihedral angles of all lines within 1 % of 120, edges within 1 % of 109.47."""
     r = v.ring(3, 900, frames=160)

@@ -81,7 +81,14 @@ def ring_on(frames, e_count=600, mode=2, amplitude=0.05, **numerics):
     return (total[-41:].mean() - total[:41].mean()) / most, kinetic[-41:].max() / most - 1.0, max(spread)
 
 
-@pytest.mark.parametrize("numerics", [{}, {"redistribution": 0.0}, {"redistribution": 1.0, "spread": 0.02}])
+@pytest.mark.parametrize(
+    "numerics",
+    [
+        {},
+        pytest.param({"redistribution": 0.0}, marks=pytest.mark.slow),
+        {"redistribution": 1.0, "spread": 0.02},
+    ],
+)
 def test_shifts_take_no_energy(numerics):
     """12 periods at 600 E, T/41: 0.4 % of the energy that moves, and of the speed's square, whatever the shifts.
 
