@@ -30,8 +30,8 @@ SCENES = (
     "inflation",
     "foam_pops",
 )
-HELD = ("mass", "border_mass", "spilled", "rim_mass", "drop_mass")
-"""What holds the liquid of a film: the film, its border, what ran over it, free rims and their drops."""
+HELD = ("mass", "border_mass", "spilled", "rim_mass", "drop_mass", "frame_mass")
+"""What holds the liquid: the film, its border, what ran over it, free rims, drops, what they left at a frame."""
 
 EVEN = 0.3
 """Largest spread of the E density, (max - min)/mean."""
