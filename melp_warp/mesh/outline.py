@@ -25,6 +25,9 @@ APART = 1.8
 FILL = 0.75
 """Distance of the middle of a triangle from the nearest E, in widths of one, beyond which it closes a hole."""
 
+DRAWN = 1.5
+"""Distance of a mesh's edge from a free rim, in widths of an E, up to which it is put onto the rim."""
+
 FEWEST = 6
 """E of the smallest piece that gets a mesh."""
 
@@ -71,9 +74,10 @@ def _torn_foam(
 ) -> tuple[dict[int, MeshFrame], list[str]]:
     """The closed meshes of all bubbles, those that burst without what closes their holes.
 
-    A hole in a bubble of a foam ends at borders as well as at its rim, so its edge is that of the last E.
+    A hole in a bubble of a foam ends at borders as well as at its rim, so its edge is that of the last E, put onto the
+    rim where that is near.
     """
-    torn, reach = _regions_of(beads, e), FILL * float(e.widths.mean())
+    torn, width = _regions_of(beads, e), float(e.widths.mean())
     made, problems = {}, []
     for regions in (np.setdiff1d(e.region, torn), *torn):
         part = _some(e, np.isin(e.region, regions))
@@ -84,7 +88,8 @@ def _torn_foam(
             continue
         else:
             meshes, found = _lay(part, many, [], _share(triangles, part, e))
-            meshes = {k: _without_fill(mesh, part.points.astype(np.float64), reach) for k, mesh in meshes.items()}
+            open_ones = {k: _without_fill(m, part.points.astype(np.float64), FILL * width) for k, m in meshes.items()}
+            meshes = {k: _drawn_to(m, beads, DRAWN * width) for k, m in open_ones.items()}
             found = [one for one in found if not one.endswith(FOLDED)]
         made, problems = made | meshes, problems + found
     return made, problems
@@ -122,9 +127,8 @@ def _without_fill(mesh: MeshFrame, points: np.ndarray, reach: float) -> MeshFram
 
     That are the faces that are farther than `reach` (m) from all E at `points`, or look inwards.
     """
-    a, b, c = (mesh.points[corner].astype(np.float64) for corner in mesh.faces.T)
-    outwards = (np.cross(b - a, c - a) * mesh.normals[mesh.faces].sum(axis=1)).sum(axis=1) > 0.0
-    faces = mesh.faces[outwards & (nearest_distance((a + b + c) / 3.0, points) < reach)]
+    middle = mesh.points.astype(np.float64)[mesh.faces].mean(axis=1)
+    faces = mesh.faces[_outwards(mesh) & (nearest_distance(middle, points) < reach)]
     while (pinched := _pinched(faces, len(mesh.points))).any():
         faces = faces[~pinched[faces].any(axis=1)]
     used = np.unique(faces)
@@ -133,11 +137,47 @@ def _without_fill(mesh: MeshFrame, points: np.ndarray, reach: float) -> MeshFram
     return MeshFrame(*(getattr(mesh, name)[used] for name in AT_POINTS), number[faces], mesh.origin)
 
 
+def _drawn_to(mesh: MeshFrame, beads: ParticleFrame, reach: float) -> MeshFrame:
+    """A mesh whose edges end on the free rims that are within `reach` (m), but for points that would fold a face."""
+    edge = np.flatnonzero(_edges_at(mesh.faces, len(mesh.points)))
+    x, rim, after = mesh.points[edge].astype(np.float64), beads.points.astype(np.float64), next_beads(beads)
+    nearest = _nearest(x, beads, np.arange(len(rim)))
+    before = np.full(len(rim), -1)
+    before[after[after >= 0]] = np.flatnonzero(after >= 0)
+    best = rim[nearest]
+    for other in (after[nearest], before[nearest]):
+        along = rim[np.where(other >= 0, other, nearest)] - rim[nearest]
+        share = np.sum((x - rim[nearest]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30)
+        foot = rim[nearest] + np.clip(share, 0.0, 1.0)[:, None] * along
+        nearer = np.sum((x - foot) ** 2, axis=1) < np.sum((x - best) ** 2, axis=1)
+        best[nearer] = foot[nearer]
+    near = np.sum((x - best) ** 2, axis=1) < reach**2
+    drawn = replace(mesh, points=mesh.points.copy())
+    drawn.points[edge[near]] = best[near]
+    while (folded := ~_outwards(drawn)).any():
+        corners = np.unique(drawn.faces[folded])
+        if (drawn.points[corners] == mesh.points[corners]).all():
+            break
+        drawn.points[corners] = mesh.points[corners]
+    return drawn
+
+
+def _outwards(mesh: MeshFrame) -> np.ndarray:
+    """[f] whether each face looks where its points' normals do."""
+    a, b, c = (mesh.points[corner].astype(np.float64) for corner in mesh.faces.T)
+    return (np.cross(b - a, c - a) * mesh.normals[mesh.faces].sum(axis=1)).sum(axis=1) > 0.0
+
+
 def _pinched(faces: np.ndarray, count: int) -> np.ndarray:
     """[count] points in which edges of a mesh meet, so that it hangs together by a point alone."""
+    return _edges_at(faces, count) > 1
+
+
+def _edges_at(faces: np.ndarray, count: int) -> np.ndarray:
+    """[count] edges of one face alone that begin at each point of a mesh."""
     start, end = faces.T.reshape(-1).astype(np.int64), np.roll(faces, -1, axis=1).T.reshape(-1)
     bare = ~np.isin(end * count + start, start * count + end)
-    return np.bincount(start[bare], minlength=count) > 1
+    return np.bincount(start[bare], minlength=count)
 
 
 def _clear_of_rims(e: ParticleFrame, beads: ParticleFrame) -> ParticleFrame:
