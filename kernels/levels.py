@@ -280,13 +280,13 @@ def split_diagonal_p(
         scale: [1].
         rows: neighbours.
         held: [n].
-        stiff: [n].
+        stiff: [n] 0 where pairs take off the diagonal, as those of an inertia do that makes up for a blur.
         fade: [n] s/(s + EDGE h), by which what a coarse level adds is taken.
     """
     i = rows.first + wp.tid()
     tied = sum_within(i, pair, rows, diag.shape[0])
     h = diag[i] + scale[0] * (sum_row(i, pair, rows) - tied)
-    s = scale[0] * tied
+    s = wp.max(scale[0] * tied, 0.0)
     held[i] = h
     stiff[i] = s
     fade[i] = s / wp.max(s + EDGE * h, 1.0e-30)

@@ -8,14 +8,13 @@ from typing import Any
 
 import warp as wp
 
-from melp_warp.kernels.native import advance_entries, sum_differences, sum_products, sum_row, turn_entries
+from melp_warp.kernels.native import advance_entries, sum_differences, sum_products, sum_row, turn_entries, vec8
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_total
 
 wp.set_module_options({"enable_backward": False})
 
 POLES = 8
-vec8 = wp.types.vector(length=8, dtype=wp.float32)
 
 # Slots of the scalar arrays.
 RZ = wp.constant(0)

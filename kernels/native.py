@@ -12,6 +12,7 @@ wp.set_module_options({"enable_backward": False})
 
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
+vec8 = wp.types.vector(length=8, dtype=wp.float32)
 vec10 = wp.types.vector(length=10, dtype=wp.float32)
 vec17 = wp.types.vector(length=17, dtype=wp.float32)
 vec16 = wp.types.vector(length=16, dtype=wp.float32)
@@ -171,6 +172,52 @@ def sum_products_of(
     i: int, x: wp.array(dtype=float), by: wp.array(dtype=float), pair: wp.array(dtype=float), rows: Neighbors
 ) -> float:
     """sum_j pair_ij by_j x_j."""
+    ...
+
+
+TAKEN = "w * other[c]"
+
+EIGHT = f"""
+    const float* values = (const float*)x.data;
+    float sums[8] = {{}};
+    for (int k = first; k < last; ++k)
+    {{
+        const float w = pair.data[k];
+        const float* other = values + 8 * (size_t)index[k];
+{LANES}
+        for (int c = 0; c < 8; ++c)
+            sums[c] += TERM;
+    }}
+    wp::vec_t<8, float> total;
+    for (int c = 0; c < 8; ++c)
+        total[c] = sums[c];
+    return total;
+"""
+"""A sum over the neighbours of row i in each of eight lanes."""
+
+
+@wp.func_native(f"""{ROW}
+    const float* own = (const float*)x.data + 8 * (size_t)i;
+{EIGHT.replace("TERM", "w * (own[c] - other[c])")}
+""")
+def sum_lane_differences(i: int, x: wp.array(dtype=vec8), pair: wp.array(dtype=float), rows: Neighbors) -> vec8:
+    """sum_j pair_ij (x_i - x_j) of each lane."""
+    ...
+
+
+@wp.func_native(f"""{ROW}{EIGHT.replace("TERM", TAKEN)}
+""")
+def sum_lane_shares(i: int, x: wp.array(dtype=vec8), pair: wp.array(dtype=float), rows: Neighbors) -> vec8:
+    """sum_j pair_ij x_j of each lane."""
+    ...
+
+
+@wp.func_native(f"""{ROW}{EIGHT.replace("= pair.data[k]", "= pair.data[k] * by.data[index[k]]").replace("TERM", TAKEN)}
+""")
+def sum_lane_products_of(
+    i: int, x: wp.array(dtype=vec8), by: wp.array(dtype=float), pair: wp.array(dtype=float), rows: Neighbors
+) -> vec8:
+    """sum_j pair_ij by_j x_j of each lane."""
     ...
 
 

@@ -16,6 +16,12 @@ CLOSE = wp.constant(0.8)
 APART = wp.constant(0.2)
 """Share of what they lack that each goes in a step."""
 
+OWN_REACH = wp.constant(0.6)
+"""Shift up to which an E's own fit is good at the place moved to, spacings; beyond, that of the E nearest to it is."""
+
+HOPS = wp.constant(4)
+"""Rows of neighbours over which that one is looked for: shifts may be three times as many spacings long."""
+
 
 @wp.kernel
 def spread_chunks(density: wp.array(dtype=float), first: wp.array(dtype=wp.int32), part: wp.array(dtype=wp.vec4)):
@@ -72,6 +78,25 @@ def load_pressure_e(
     start[i] = 0.0
 
 
+@wp.func
+def nearest_facing(
+    i: int, p: wp.vec3, x: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), rows: Neighbors, limit: int
+) -> int:
+    """The E, below index `limit`, nearest to p on the same sheet: from i over ever nearer neighbours."""
+    best = int(i)
+    least = wp.length_sq(x[i] - p)
+    for _ in range(HOPS):
+        at = best
+        for k in range(rows.start[at], rows.stop[at]):
+            j = rows.index[k]
+            if j < limit:
+                away = wp.length_sq(x[j] - p)
+                if away < least and wp.dot(normal[at], normal[j]) > 0.0:
+                    best = j
+                    least = away
+    return best
+
+
 @wp.kernel
 def shift_e(
     pressure: wp.array(dtype=float),
@@ -95,7 +120,8 @@ def shift_e(
     """Shift E by -strength grad_s C along the fitted surface; surface and velocities stay where they are in space.
 
     Both are found at the new place by the same quadratic fit. A linear one, u + s.grad u, would make every wave
-    exp(ikx) larger by k^2 s^2/2; the fit's quadratic part takes that away, and a little of the shortest waves.
+    exp(ikx) larger by k^2 s^2/2; the fit's quadratic part takes that away, and a little of the shortest waves. The fit
+    is that of the E itself or, where it goes far, of the one that it comes nearest to.
 
     The smooth density of (9) hardly sees pairs, which form where a sheet is bent: E that are close are parted.
 
@@ -131,14 +157,22 @@ def shift_e(
     speed = u_mid[i]
     if size > 0.0:
         shift = shift * wp.min(limit / size, 1.0)
+        of = int(i)
+        if wp.min(size, limit) > OWN_REACH * spacing:
+            of = nearest_facing(i, p + shift, x, normal, rows, u_mid.shape[0])
+            n = normal[of]
+            shift = tangential(p + shift - x[of], n)
+            p = x[of]
+            v = u[of]
+            speed = u_mid[of]
         e1, e2 = tangent_basis(n)
-        factor, c = fit_height(i, x, n, rows, r, x.shape[0], False)
+        factor, c = fit_height(of, x, n, rows, r, x.shape[0], False)
         h = r / 3.0
         a = wp.dot(shift, e1) / h
         b = wp.dot(shift, e2) / h
         way = vec5(a, b, a * a, a * b, b * b)
         p += shift + h * wp.dot(c, way) * n
-        change = change_over_fit(i, x, e1, e2, solve_fit(factor, way), rows, r, u_mid.shape[0], u, u_mid)
+        change = change_over_fit(of, x, e1, e2, solve_fit(factor, way), rows, r, u_mid.shape[0], u, u_mid)
         v += wp.vec3(change[0], change[1], change[2])
         speed += change[3]
     x_new[i] = p

@@ -97,7 +97,7 @@ class LinearOperator:
         return [self.diag, self.pair, self.scale, self.rows]
 
 
-class _Solver:
+class Solver:
     """What the iterative solvers share: scalars, control and the counters read back for diagnostics.
 
     `max_iterations` of None is `most_iterations`.
@@ -158,7 +158,7 @@ class _Solver:
         self.watch.zero_()
 
 
-class ConjugateGradient(_Solver):
+class ConjugateGradient(Solver):
     """Jacobi-preconditioned conjugate gradients, or the paper's relaxed Jacobi sweeps.
 
     Args:
@@ -309,10 +309,29 @@ class GasConjugateGradient(ConjugateGradient):
         self._launch(kernel, inputs, outputs, dim=self.stiff.shape[0])
 
 
-class RationalLaplacian(_Solver):
+def upper_half(poles: np.ndarray, residues: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The p_k and g_k of Re sum_k g_k/(lambda + p_k) that are real, or stand for their conjugates too.
+
+    Returns:
+        Poles, residues, those of pairs taken twice, and which of them are pairs.
+    """
+    keep = poles.imag > -1e-9 * np.abs(poles)
+    poles, residues = poles[keep], residues[keep]
+    paired = poles.imag > 1e-9 * np.abs(poles)
+    return poles, np.where(paired, 2.0 * residues, residues), paired
+
+
+def shares_of_error(poles: np.ndarray, residues: np.ndarray, low: float) -> np.ndarray:
+    """Error of the sum that the residual of each pole makes at most, relative to the sum at the eigenvalue `low`."""
+    weight = np.abs(residues) / np.abs(poles + low)
+    return weight / abs(np.sum(residues / (low + poles)).real)
+
+
+class RationalLaplacian(Solver):
     """x = f(-Laplacian) b for f(lambda) = Re sum_k g_k/(lambda + p_k), by multi-shift conjugate gradients.
 
-    One Krylov sequence, that of the smallest real p_k, serves all poles.
+    One Krylov sequence, that of the smallest real p_k, serves all poles. It cannot be preconditioned, and takes the
+    more iterations the more unknowns there are (`multilevel.MultilevelRational` does not).
 
     Attributes:
         b: [n] right-hand side, filled by the owner.
@@ -338,10 +357,7 @@ class RationalLaplacian(_Solver):
         Raises:
             ValueError: no pole is real and above 0, or there are more than eight.
         """
-        keep = poles.imag > -1e-9 * np.abs(poles)
-        poles, residues = poles[keep], residues[keep]
-        paired = poles.imag > 1e-9 * np.abs(poles)
-        residues = np.where(paired, 2.0 * residues, residues)
+        poles, residues, paired = upper_half(poles, residues)
         seed = np.where(~paired & (poles.real > 0.0), poles.real, np.inf)
         if not np.isfinite(seed.min()) or len(poles) > k.POLES:
             raise ValueError(f"no usable poles among {poles}")
@@ -349,11 +365,13 @@ class RationalLaplacian(_Solver):
         missing = k.POLES - len(poles)
         p = np.pad(poles[order], (0, missing), mode="edge")
         g = np.pad(residues[order], (0, missing))
-        weight = np.abs(g) / np.abs(p + low)
-        size = abs(np.sum(g / (low + p)).real)
         for array, values in ((self.poles.p, p), (self.poles.g, g)):
             array.assign(np.stack([values.real, values.imag], axis=1))
-        self.poles.weight.assign(weight / size)
+        self.poles.weight.assign(shares_of_error(p, g, low))
+
+    def improve(self) -> None:
+        """Solve again for another `b`."""
+        self.solve()
 
     def _body(self):
         self._launch(k.scale_pairs, [self.area, self.pair, self.rows], [self.scaled, self.diag])

@@ -7,14 +7,13 @@ import math
 import warp as wp
 
 from melp_warp.device.launch import copy
-from melp_warp.device.linear import ConjugateGradient, LinearOperator
-from melp_warp.device.multilevel import MultilevelGradient
+from melp_warp.device.linear import LinearOperator
 from melp_warp.features import Features
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import redistribute as kr
 from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
-from melp_warp.stages.levels import levels_of
+from melp_warp.stages.levels import make_solver, solver_kernels
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.state import State
 
@@ -23,9 +22,9 @@ SHIFT_TOLERANCE = 0.05
 SHIFT_ITERATIONS = 2.0
 """Most iterations of the pseudo-pressure solve over the square root of the number of E: it takes 0.75 of that."""
 
-SHIFT_LIMIT, SHIFT_SHARE = 1.0, 0.02
-"""Largest shift of an E in one redistribution, in spacings, and in the radius of a sphere of the film's size: what a
-film is stretched by over a length is more spacings the finer it is."""
+SHIFT_SHARE = 0.02
+"""Largest shift of an E in one redistribution, in radii of a sphere of the film's size: what a film is stretched by
+over a length is more spacings the finer it is."""
 
 START_SPREAD = 0.02
 """Spread of E density from which on they are evened out at the start, where it costs the film nothing."""
@@ -47,7 +46,7 @@ class EulerianAdvance:
     @staticmethod
     def kernels(features: Features) -> tuple[str, ...]:
         """Files of kernels."""
-        return "advance", "redistribute", "linear", *(("levels",) if features.coarse else ())
+        return "advance", "redistribute", *solver_kernels(features)
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
@@ -79,23 +78,17 @@ class Redistribution:
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
-        self.solver = self._make_solver()
+        operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
+        most = math.ceil(SHIFT_ITERATIONS * math.sqrt(film.n_e))
+        self.solver = make_solver(film, lists, operator, SHIFT_TOLERANCE, most, guessed=False)
         size = math.sqrt(film.n_e / film.regions / (4.0 * math.pi))
-        self._limit = film.spacing * min(SHIFT_LIMIT, SHIFT_SHARE * size)
+        self._limit = film.spacing * (SHIFT_SHARE * size)
         self.spread = film.zeros(film.regions, wp.vec3)
         self._part = film.parts(wp.vec4)
         self.shifted, self._u = (film.zeros(film.n_e, wp.vec3) for _ in range(2))
         self._u_mid = film.zeros(film.n_e)
         # the liquid of a film with L is theirs
         self._swept = None if film.features.lagrangian else [film.zeros(film.n_e, wp.vec2) for _ in range(2)]
-
-    def _make_solver(self) -> ConjugateGradient:
-        film, lists = self.film, self.lists
-        operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=self.geometry.weight)
-        if film.features.coarse:
-            return MultilevelGradient(operator, film.total, SHIFT_TOLERANCE, None, levels_of(film, lists))
-        most = math.ceil(SHIFT_ITERATIONS * math.sqrt(film.n_e))
-        return ConjugateGradient(operator, film.total, wp.float32, SHIFT_TOLERANCE, most)
 
     def apply(self, u_mid: wp.array) -> None:
         """Shift E once towards even density; nothing moves where the spread is below the scene's threshold.

@@ -11,13 +11,13 @@ from __future__ import annotations
 import warp as wp
 
 from melp_warp.device.launch import clear
-from melp_warp.device.linear import RationalLaplacian
+from melp_warp.features import Features
 from melp_warp.kernels import air_range as ka
 from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.notices import Notices
-from melp_warp.stages.responses import AirResponse
+from melp_warp.stages.responses import AirResponse, make_rational, rational_kernels
 from melp_warp.stages.state import State
 
 SLOPE = 0.25
@@ -36,14 +36,15 @@ class AirRange:
     """
 
     needs = ("lists", "geometry", "response")
-    kernels = ("air_range", "linear")
+
+    @staticmethod
+    def kernels(features: Features) -> tuple[str, ...]:
+        """Files of kernels."""
+        return "air_range", *rational_kernels(features)
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, response: AirResponse):
         self.film, self.state, self.geometry = film, state, geometry
-        arrays = [geometry.weight, geometry.area, lists.ee.rows]
-        self.solver = RationalLaplacian(
-            film.n_e, film.total, *arrays, TOLERANCE, film.numerics.max_iterations, film.device
-        )
+        self.solver = make_rational(film, lists, geometry, TOLERANCE)
         self.solver.set_function(*(p.astype(complex) for p in response.poles), response.low)
         self.found = film.zeros(5, wp.float64)
         self._centre = film.zeros(1, wp.vec3)

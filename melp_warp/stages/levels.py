@@ -6,7 +6,9 @@ import numpy as np
 import warp as wp
 
 from melp_warp.device.launch import launch
-from melp_warp.device.multilevel import Level
+from melp_warp.device.linear import ConjugateGradient, LinearOperator
+from melp_warp.device.multilevel import Level, MultilevelGradient
+from melp_warp.features import Features
 from melp_warp.kernels import levels as kv
 from melp_warp.kernels import neighbors as kn
 from melp_warp.kernels.neighbors import Neighbors
@@ -144,3 +146,26 @@ def levels_of(film: Film, lists: NeighborLists) -> list[Level]:
     if lists.levels is None:
         lists.levels = Levels(film, lists)
     return lists.levels.levels
+
+
+def solver_kernels(features: Features) -> tuple[str, ...]:
+    """Files of kernels of `make_solver`."""
+    return "linear", *(("levels",) if features.coarse else ())
+
+
+def make_solver(
+    film: Film,
+    lists: NeighborLists,
+    operator: LinearOperator,
+    tolerance: float,
+    max_iterations: int | None,
+    x: wp.array | None = None,
+    guessed: bool = True,
+) -> ConjugateGradient:
+    """Conjugate gradients for a number an E, with coarser levels where the film is large enough for them to pay.
+
+    See `ConjugateGradient` and `MultilevelGradient` for the arguments; with `guessed` the owner fills the solver's x.
+    """
+    if film.features.coarse:
+        return MultilevelGradient(operator, film.total, tolerance, max_iterations, levels_of(film, lists), guessed, x)
+    return ConjugateGradient(operator, film.total, wp.float32, tolerance, max_iterations, x=x)

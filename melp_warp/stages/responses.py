@@ -6,13 +6,16 @@ import numpy as np
 import warp as wp
 
 from melp_warp.device.launch import clear, copy
-from melp_warp.device.linear import ConjugateGradient, LinearOperator, RationalLaplacian
+from melp_warp.device.linear import LinearOperator, RationalLaplacian
+from melp_warp.device.multilevel import MultilevelRational
 from melp_warp.device.scalars import Setting
+from melp_warp.features import Features
 from melp_warp.kernels import membrane as km
 from melp_warp.stages import air
 from melp_warp.stages.film import Film
 from melp_warp.stages.forces import Forces
 from melp_warp.stages.geometry import Geometry
+from melp_warp.stages.levels import levels_of, make_solver, solver_kernels
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.state import State
 
@@ -47,16 +50,17 @@ class FilmResponse:
     """
 
     needs = ("lists", "geometry", "forces")
-    kernels = ("membrane", "linear")
+
+    @staticmethod
+    def kernels(features: Features) -> tuple[str, ...]:
+        """Files of kernels."""
+        return "membrane", *solver_kernels(features)
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, forces: Forces):
         self.film, self.state, self.geometry, self.inertia = film, state, geometry, forces.heavy
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
-        numerics = film.numerics
-        self.load, self.unit = (
-            ConjugateGradient(operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations, x=guess)
-            for guess in (state.memory.load, state.memory.unit)
-        )
+        arguments = [film, lists, operator, film.numerics.tolerance, film.numerics.max_iterations]
+        self.load, self.unit = (make_solver(*arguments, x) for x in (state.memory.load, state.memory.unit))
         self.solvers = (self.load, self.unit)
         self.diag, self._operator = operator.diag, operator
         self.blur = inertial_blur(film, geometry)
@@ -90,6 +94,22 @@ class FilmResponse:
         return self.load.report()
 
 
+def rational_kernels(features: Features) -> tuple[str, ...]:
+    """Files of kernels of `make_rational`."""
+    return *solver_kernels(features), *(("poles",) if features.coarse else ())
+
+
+def make_rational(
+    film: Film, lists: NeighborLists, geometry: Geometry, tolerance: float
+) -> RationalLaplacian | MultilevelRational:
+    """A solver for functions of the surface Laplacian of a film."""
+    arrays = [geometry.weight, geometry.area, lists.ee.rows]
+    last = [tolerance, film.numerics.max_iterations, film.device]
+    if film.features.coarse:
+        return MultilevelRational(film.n_e, film.total, *arrays, *last, levels_of(film, lists))
+    return RationalLaplacian(film.n_e, film.total, *arrays, *last)
+
+
 class AirResponse:
     """The same with the air's added mass: ((m + A(-lap_s)) (1 + blur lap_s) - c (lap_s + 2/R^2)) x = b.
 
@@ -98,24 +118,18 @@ class AirResponse:
     """
 
     needs = ("lists", "geometry", "forces")
-    kernels = ("membrane", "linear")
+
+    @staticmethod
+    def kernels(features: Features) -> tuple[str, ...]:
+        """Files of kernels."""
+        return "membrane", *rational_kernels(features)
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, forces: Forces):
         self.film, self.geometry, self.state, self.inertia = film, geometry, state, forces.inertia
-        numerics, n = film.numerics, film.n_e
-        self.solver = RationalLaplacian(
-            n,
-            film.total,
-            geometry.weight,
-            geometry.area,
-            lists.ee.rows,
-            numerics.tolerance,
-            numerics.max_iterations,
-            film.device,
-        )
+        self.solver = make_rational(film, lists, geometry, film.numerics.tolerance)
         self.solvers = (self.solver,)
         self.load, self.unit = _Pair(film), _Pair(film)
-        self.diag = film.zeros(n)
+        self.diag = film.zeros(film.n_e)
         self.mean = wp.full(1, film.material.areal_mass, dtype=wp.float32, device=film.device)
         self.low = 2.0 / size_of(film) ** 2
         self.poles = air.fit_poles(
@@ -126,7 +140,7 @@ class AirResponse:
             geometry.blur("sph"),
             film.air,
         )
-        self.blur = geometry.blur(numerics.curvature)
+        self.blur = geometry.blur(film.numerics.curvature)
         self._stiffness, self._left_out = -1.0, Setting(film.device)
         self.left_out = self._left_out.array
         self._load_scalar = wp.clone(self.solver.scalar)
@@ -156,13 +170,13 @@ class AirResponse:
         clear(pair.x)
         if self.film.forces:
             clear(self.solver.b)  # what the sweeps of an E that is held go on from
-        for _ in range(SWEEPS):
+        for sweep in range(SWEEPS):
             self.film.launch_e(
                 km.lower_residual_e,
                 [pair.b, self.inertia, self.geometry.area, self.mean, pair.x],
                 [self.solver.b],
             )
-            self.solver.solve()
+            (self.solver.improve if sweep else self.solver.solve)()
             copy(pair.x, self.solver.x)
 
     def report(self) -> tuple[int, float]:

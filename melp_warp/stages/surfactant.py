@@ -16,6 +16,7 @@ from melp_warp.kernels import surfactant as ks
 from melp_warp.stages.film import Film
 from melp_warp.stages.forces import Forces
 from melp_warp.stages.geometry import Geometry
+from melp_warp.stages.levels import make_solver, solver_kernels
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.notices import Notices
 from melp_warp.stages.rim import Rim, RimmedViscosity
@@ -122,7 +123,7 @@ class Tangential:
     @staticmethod
     def kernels(features: Features) -> tuple[str, ...]:
         """Files of kernels."""
-        return "surfactant", *(("linear",) if features.marangoni or features.viscous else ())
+        return "surfactant", *(solver_kernels(features) if features.marangoni or features.viscous else ())
 
     def __init__(
         self,
@@ -151,17 +152,18 @@ class Tangential:
         pulls = film.features.recoils or (film.features.marangoni and (film.features.collects or film.features.budget))
         self.traction = film.zeros(film.n_e, wp.vec3) if pulls else None
         self.drainage_length: float | None = None
-        numerics = film.numerics
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device)
-        self.solver = None
-        if film.features.marangoni:
-            jacobi = JACOBI_OMEGA if numerics.solver == "jacobi" else None
-            self.solver = ConjugateGradient(
-                operator, film.total, wp.float32, numerics.tolerance, numerics.max_iterations, jacobi
-            )
+        self.solver = self._make_solver(operator) if film.features.marangoni else None
         self.viscous = None
         if film.features.viscous:
             self.viscous = self._make_viscous(operator)
+
+    def _make_solver(self, operator: LinearOperator) -> ConjugateGradient:
+        film, numerics = self.film, self.film.numerics
+        limits = [numerics.tolerance, numerics.max_iterations]
+        if numerics.solver == "jacobi":
+            return ConjugateGradient(operator, film.total, wp.float32, *limits, JACOBI_OMEGA)
+        return make_solver(film, self.lists, operator, *limits)
 
     def _make_viscous(self, operator: LinearOperator) -> ConjugateGradient:
         film, numerics = self.film, self.film.numerics

@@ -1,4 +1,4 @@
-"""Ever coarser sets of points, and the solver that they precondition, against its matrix and Jacobi's."""
+"""Ever coarser sets of points, and the solvers that they precondition, against their matrix and Jacobi's."""
 
 from types import SimpleNamespace
 
@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import warp as wp
 
-from melp_warp.device.linear import ConjugateGradient, LinearOperator
-from melp_warp.device.multilevel import MultilevelGradient
+from melp_warp.device.linear import ConjugateGradient, LinearOperator, RationalLaplacian
+from melp_warp.device.multilevel import MultilevelGradient, MultilevelRational
 from melp_warp.kernels import neighbors as kn
-from melp_warp.stages.levels import APART, COARSER, Levels
+from melp_warp.shapes import Jittered, Sphere
+from melp_warp.stages import air
+from melp_warp.stages.levels import APART, COARSER, Levels, levels_of
 from melp_warp.stages.neighbors import NeighborList
-from tests.helpers import pairs_of
+from tests.helpers import make_stepper, pairs_of
 
 SUPPORT = 3.0
 
@@ -125,14 +127,15 @@ def test_preconditioner_is_symmetric_and_positive(shape, device):
     assert b @ mb > 0.0
 
 
+@pytest.mark.parametrize("guessed", [False, True])
 @pytest.mark.parametrize("held", [0.0, 0.3])
 @pytest.mark.parametrize("shape", [spiral, square])
-def test_solution_is_that_of_jacobi(shape, held, device):
-    """Both find the same to their tolerance, with and without a diagonal of the unknowns' own."""
+def test_solution_is_that_of_jacobi(shape, held, guessed, device):
+    """Both find the same to their tolerance, with and without a diagonal of the unknowns' own, or a guess."""
     _, operator, made, total = system(shape(1500), device)
     operator.diag.fill_(held)
     plain = ConjugateGradient(operator, total, wp.float32, 1e-6, None)
-    levels = MultilevelGradient(operator, total, 1e-6, None, made.levels)
+    levels = MultilevelGradient(operator, total, 1e-6, None, made.levels, guessed)
     b = load(plain.n)
     x, y = (solved(solver, b) for solver in (plain, levels))
     if shape is spiral and held == 0.0:
@@ -158,3 +161,119 @@ def test_iterations_do_not_grow_with_the_unknowns(shape, most, device):
     assert plain_more > 2.0 * plain
     assert more <= 1.5 * few
     assert more <= most
+
+
+def test_guess_is_where_the_search_starts(device):
+    """From its own solution none is needed; the tolerance is that of the load, not of what a guess leaves."""
+    _, operator, made, total = system(spiral(1500), device)
+    operator.diag.fill_(0.3)
+    solver = MultilevelGradient(operator, total, 1e-4, None, made.levels, guessed=True)
+    b = load(solver.n)
+    x = solved(solver, b)
+    assert solver.report()[0] > 4
+    solver.solve()
+    assert solver.report()[0] == 0
+    assert np.array_equal(solver.x.numpy()[: solver.n], x.astype(np.float32))
+
+
+RHO, AREAL = 1.204, 4e-4
+
+
+def response(film, geometry, dt):
+    """Poles and residues of a film of air and water in a step of dt, and the lowest eigenvalue."""
+    low, high = 2.0 / film.radius**2, 4.0 * (np.pi / film.spacing) ** 2
+    fitted = air.fit_poles(low, high, RHO, film.radius, geometry.blur("sph"))
+    return (*air.response(AREAL, 0.14 * dt**2, *fitted, geometry.blur("mls")), low)
+
+
+def solvers_of(s, tolerance, device):
+    """The multi-shift solver of a film, and that by levels."""
+    film, g = s.film, s.geometry
+    arguments = [film.n_e, film.total, g.weight, g.area, s.lists.ee.rows, tolerance, None, device]
+    return RationalLaplacian(*arguments), MultilevelRational(*arguments, levels_of(film, s.lists))
+
+
+def smooth(s):
+    """A load that is smooth, and rough by a tenth."""
+    x = s.state.e.x.numpy()[: s.film.n_e] / s.film.radius
+    return (x[:, 0] ** 3 - x[:, 1] * x[:, 2] + 0.1 * load(len(x))).astype(np.float32)
+
+
+def relative(s, x, exact):
+    root = np.sqrt(s.geometry.area.numpy().astype(np.float64))
+    return np.linalg.norm(root * (x - exact)) / np.linalg.norm(root * exact)
+
+
+@pytest.mark.parametrize("dt", [1e-6, 1e-4, 1e-3, 1e-2, 1e-1])
+def test_poles_are_those_of_the_function(dt, device):
+    """f(-lap_s) b of an uneven film in air against a dense eigen-decomposition in float64, within the tolerance.
+
+    In short steps some poles are below 0, beyond the eigenvalues; in long ones two are complex.
+    """
+    _, s = make_stepper(Jittered(Sphere(0.1)), 400, device)
+    poles, residues, low = response(s.film, s.geometry, dt)
+    area = s.geometry.area.numpy().astype(np.float64)
+    i, k, j = pairs_of(s.lists.ee.rows)
+    w = s.geometry.weight.numpy()[k].astype(np.float64)
+    d = np.zeros((len(area), len(area)))
+    d[i, j] -= w
+    np.add.at(d, (i, i), w)
+    values, vectors = np.linalg.eigh(d / np.sqrt(np.outer(area, area)))
+    f = np.sum(residues / (values[:, None] + poles), axis=1).real
+    solver = solvers_of(s, 1e-4, device)[1]
+    solver.set_function(poles, residues, low)
+    b = smooth(s)
+    x = solved(solver, b)
+    exact = vectors @ (f * (vectors.T @ (np.sqrt(area) * b))) / np.sqrt(area)
+    iterations, residual = solver.report()
+    print(f"dt {dt:g}: {iterations} iterations, bound {residual:.1e}, error {relative(s, x, exact):.1e}")
+    assert iterations < 30
+    assert residual < 1e-4
+    assert relative(s, x, exact) < 1e-4
+
+
+def test_a_changed_load_is_gone_on_from(device):
+    """After a change of the load by 1 % the search goes on from its last result, and ends as near to the solution."""
+    _, s = make_stepper(Sphere(0.1), 1500, device)
+    plain, solver = solvers_of(s, 1e-4, device)
+    plain.control.assign([1e-6, 1000.0])
+    b = smooth(s)
+    for one in (plain, solver):
+        one.set_function(*response(s.film, s.geometry, 1.0 / 120.0))
+    solved(solver, b)
+    whole = solver.report()[0]
+    b = b * (1.0 + 0.01 * load(len(b)))
+    solver.b.assign(b)
+    solver.improve()
+    print(f"{whole} iterations, then {solver.report()[0]}")
+    assert solver.report()[0] < 0.7 * whole
+    assert relative(s, solver.x.numpy().astype(np.float64), solved(plain, b)) < 1e-4
+
+
+@pytest.mark.parametrize("most", [8000, pytest.param(20000, marks=pytest.mark.slow)])
+def test_iterations_for_the_air_do_not_grow(most, device):
+    """From 2,000 E on at most by half; multi-shift conjugate gradients take as many times more as the film is wider."""
+    taken = []
+    for n in (2000, most):
+        _, s = make_stepper(Sphere(0.1), n, device)
+        solvers = solvers_of(s, 1e-4, device)
+        b, found = smooth(s), []
+        for solver in solvers:
+            solver.set_function(*response(s.film, s.geometry, 1.0 / 120.0))
+            found.append(solved(solver, b))
+        taken.append([solver.report()[0] for solver in solvers])
+        print(f"{n} E: {taken[-1]} iterations, apart by {relative(s, *found):.1e}")
+        assert relative(s, *found) < 1e-4
+    (plain, few), (plain_more, more) = taken
+    assert plain_more > 0.8 * np.sqrt(most / 2000) * plain
+    assert more <= 1.5 * few
+    assert more <= 18
+
+
+def test_no_load_takes_no_iteration(device):
+    """b = 0 gives x = 0."""
+    _, s = make_stepper(Sphere(0.1), 400, device)
+    solver = solvers_of(s, 1e-4, device)[1]
+    solver.set_function(*response(s.film, s.geometry, 1e-2))
+    assert np.all(solved(solver, np.zeros(s.film.n_e, dtype=np.float32)) == 0.0)
+    assert solver.report() == (0, 0.0)

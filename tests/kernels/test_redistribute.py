@@ -5,10 +5,12 @@ import pytest
 
 from melp_warp import features
 from melp_warp.shapes import Jittered, Sphere
-from melp_warp.stages.advance import SHIFT_LIMIT, SHIFT_TOLERANCE
+from melp_warp.stages.advance import SHIFT_TOLERANCE
 from tests.helpers import fitted_order, make_stepper, place_e
 
 RADIUS = 0.05
+FAR = 3.0
+"""Shifts that are let go as far as they are asked for, spacings."""
 
 
 def f64(array):
@@ -54,11 +56,11 @@ def test_crowded_sphere_is_evened_out(device):
 
 
 def test_shifted_points_stay_on_the_surface(device):
-    """One application leaves the sphere by O(dx^3): a shift up to dx along a plane and curvature right to O(dx^2)."""
+    """One application leaves the sphere by O(dx^3): a shift of some dx along a plane and curvature right to O(dx^2)."""
     spacings, errors = [], []
     for count in (500, 1000, 2000, 4000):
         film, s = clustered(count, device)
-        s.redistribution._limit = SHIFT_LIMIT * film.spacing
+        s.redistribution._limit = FAR * film.spacing
         apply(s, 1)
         spacings.append(film.spacing)
         errors.append(np.abs(np.linalg.norm(f64(s.state.e.x), axis=1) - RADIUS).max())
@@ -112,7 +114,7 @@ def test_velocity_field_stays_in_space(device):
     print(
         f"moved {moved.max() / film.spacing:.2f} dx; error {error:.1e}, bound {np.linalg.norm(a, 2) * normal_way:.1e}"
     )
-    assert 0.05 * film.spacing < moved.max() < 1.01 * SHIFT_LIMIT * film.spacing
+    assert 0.05 * film.spacing < moved.max() < 1.01 * s.redistribution._limit
     assert error < 1.1 * np.linalg.norm(a, 2) * normal_way + 1e-7
 
 
@@ -136,7 +138,7 @@ def test_fields_are_found_to_third_order(device):
     spacings, errors = [], []
     for count in (1000, 2000, 4000):
         film, s, value = wave(count, device)
-        s.redistribution._limit = SHIFT_LIMIT * film.spacing
+        s.redistribution._limit = FAR * film.spacing
         s.redistribution.apply(s.membrane.u_mid)
         x = f64(s.state.e.x)
         exact = value(x)
@@ -150,6 +152,22 @@ def test_fields_are_found_to_third_order(device):
     order = fitted_order(spacings, errors)
     print(f"off by {', '.join(f'{e:.1e}' for e in errors)}, order {order:.2f}")
     assert order > 2.5
+
+
+def test_far_shifts_find_the_nearest_fit(device):
+    """Shifts of several spacings: on a sphere E end on it, and at the velocity that is there, as after short ones."""
+    film, s, value = wave(8000, device)
+    s.redistribution._limit = FAR * film.spacing
+    before = f64(s.state.e.x)
+    s.redistribution.apply(s.membrane.u_mid)
+    x = f64(s.state.e.x)
+    moved = np.linalg.norm(x - before, axis=1).max() / film.spacing
+    off = np.abs(np.linalg.norm(x, axis=1) - RADIUS).max() / film.spacing
+    error = np.abs(f64(s.membrane.u_mid) - value(x)).max()
+    print(f"moved {moved:.2f} dx, off {off:.1e} dx, field off by {error:.1e}")
+    assert moved > 2.0
+    assert off < 1e-4
+    assert error < 1e-3
 
 
 def test_liquid_stays_where_it_is(device):

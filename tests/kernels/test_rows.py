@@ -197,6 +197,35 @@ def test_sums_with_ready_weights(device):
 
 
 @wp.kernel(enable_backward=False)
+def evaluate_lanes(
+    x: wp.array(dtype=kr.vec8),
+    f: wp.array(dtype=float),
+    pair: wp.array(dtype=float),
+    rows: Neighbors,
+    # outputs
+    out: wp.array2d(dtype=kr.vec8),
+):
+    i = rows.first + wp.tid()
+    out[i, 0] = kr.sum_lane_differences(i, x, pair, rows)
+    out[i, 1] = kr.sum_lane_shares(i, x, pair, rows)
+    out[i, 2] = kr.sum_lane_products_of(i, x, f, pair, rows)
+
+
+def test_sums_of_lanes(device):
+    """Sums over rows in eight lanes at once."""
+    rng = np.random.default_rng(5)
+    columns = [rng.permutation(np.delete(np.arange(N), i))[: i % 41] for i in range(N)]
+    rows = make_rows(columns, device)
+    x, f, pair = rng.normal(size=(N, 8)), rng.uniform(0.5, 1.5, N), rng.normal(size=rows.index.shape[0])
+    given = [wp.array(a, dtype=float, device=device) for a in (f, pair)]
+    out = wp.zeros((N, 3), dtype=kr.vec8, device=device)
+    launch(evaluate_lanes, N, [wp.array(x, dtype=kr.vec8, device=device), *given, rows], [out], device)
+    i, j = np.repeat(np.arange(N), [len(c) for c in columns]), np.concatenate(columns).astype(int)
+    for k, term in enumerate((x[i] - x[j], x[j], f[j, None] * x[j])):
+        agree(out.numpy()[:, k], by_row(i, pair[:, None] * term))
+
+
+@wp.kernel(enable_backward=False)
 def evaluate_ranges(
     size: int,
     scale: float,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from melp_warp import features
 from melp_warp.cluster import Bubble, Cluster, Pop
 from melp_warp.device import launch
 from melp_warp.device.scalars import Reading, Setting
@@ -54,6 +55,7 @@ SCENES = {
     "closed": (Sphere(R), 300, 4, {"velocity": swirl, "surroundings": AIR}, {}, 5e-4),
     "midpoint": (Sphere(R), 300, 4, {"velocity": swirl}, {"scheme": "trapezoid", "l_order": 2, "flip": 0.5}, 5e-4),
     "open": (Disc(R), 300, 4, {"velocity": whirl, "material": Material(viscosity=1e-5)}, {"solver": "jacobi"}, 3e-4),
+    "levels": (Sphere(R), 300, 4, {"velocity": swirl, "surroundings": AIR}, {}, 5e-4),
     "circulation": (Sphere(R), 300, 4, {"velocity": swirl}, {"carrier": "circulation"}, 5e-4),
     "without L": (StarShaped(R, oval), 400, 0, {"material": Material(surfactant=0.0)}, {}, 5e-4),
     "one layer, open": (
@@ -73,6 +75,7 @@ SCENES = {
 def simulation_of(name, mode, monkeypatch):
     """A simulation of the scene whose steps run `mode`'s way, and its usual step, s."""
     shape, e_count, l_per_e, scene, numerics, dt = SCENES[name]
+    monkeypatch.setattr(features, "COARSE_FROM", 0 if name == "levels" else features.COARSE_FROM)
     monkeypatch.setattr(launch, "GRAPHS", mode != "launches")
     made = Simulation(Scene("graph", shape, e_count, l_per_e, numerics=Numerics(**numerics), **scene))
     made.stepper.whole = mode == "whole"
