@@ -7,7 +7,7 @@ docs/energy.md for the identities.
 import warp as wp
 
 from melp_warp.kernels.advance import bent_path
-from melp_warp.kernels.air_range import AFTER, BEFORE
+from melp_warp.kernels.air_range import AFTER, BEFORE, SLOPE
 from melp_warp.kernels.gas import AMOUNT, AREA, GAUGE, INCREMENT, OFFSET, VOLUME
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
@@ -56,7 +56,9 @@ WIDENED = wp.constant(34)
 CLOSING = wp.constant(35)
 STARS = wp.constant(36)
 MIXED = wp.constant(37)
-SLOTS = wp.constant(38)
+ARRIVING = wp.constant(38)
+SHAPING = wp.constant(39)
+SLOTS = wp.constant(40)
 
 
 @wp.func
@@ -237,13 +239,87 @@ def find_gauss(surface: Quadric) -> float:
 
 
 @wp.func
-def stretched_bend(surface: Quadric, sigma: float, p: float) -> float:
-    """Second derivative of the energy of a film that moves along its normals as a whole, but for its waves. N/m^3.
+def find_bend(surface: Quadric) -> float:
+    """Sum of the principal curvatures of a fitted surface where it is fitted, 1/m."""
+    slope = surface.normal - surface.gradient
+    b = 2.0 * surface.second
+    whole = 1.0 + wp.length_sq(slope)
+    return (whole * wp.trace(b) - wp.dot(slope, b * slope)) / (whole * wp.sqrt(whole))
 
-    4 sigma K + p kappa with Gauss' curvature K: the area goes as 1 - kappa d + K d^2, the volume as d - kappa d^2/2. It
-    is -2 sigma (k_1^2 + k_2^2) where p = -2 sigma kappa.
+
+@wp.kernel
+def find_push_e(
+    surface: wp.array(dtype=Quadric),
+    area: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    tension: float,
+    rt: float,
+    gas: wp.array2d(dtype=wp.float64),
+    quartic: float,
+    # outputs
+    push: wp.array(dtype=float),
+):
+    """Force of tension and gas across the film as it is, 2 sigma kappa + p. [n_e], Pa.
+
+    The fits are those before the offset d that ended the last step, by which kappa has changed by d (kappa^2 - 2 K).
+    A fit over the plane takes a part of the quartic height k^3 rho^4/8 of an arc for its curvature k: of the sum of
+    curvatures that is `quartic` times the mean of k^3 over all directions, which is taken out.
+
+    Args:
+        surface: [n_e] fitted surfaces.
+        area: [n_e] m^2.
+        surfactant: [n_e] mol on one interface, which changes the tension; null where L have it.
+        tension: sigma_0, N/m.
+        rt: R T, J/mol.
+        gas: gas slots.
+        quartic: m^2.
+        push: Pa.
     """
-    return 4.0 * sigma * find_gauss(surface) + p * 2.0 * wp.trace(surface.second)
+    i = wp.tid()
+    sigma = tension
+    if surfactant:
+        sigma -= rt * surfactant[i] / area[i]
+    kappa = find_bend(surface[i])
+    gauss = find_gauss(surface[i])
+    mean = 0.5 * kappa
+    cubes = mean * (2.5 * mean * mean - 1.5 * gauss)
+    kappa += float(gas[0, OFFSET]) * (kappa * kappa - 2.0 * gauss) - quartic * cubes
+    push[i] = 2.0 * sigma * kappa + float(gas[0, GAUGE])
+
+
+@wp.kernel
+def sharpen_e(
+    blurred: wp.array(dtype=float),
+    found: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    weight: wp.array(dtype=float),
+    rows: Neighbors,
+    n_e: int,
+    blur: float,
+    # outputs
+    sharp: wp.array(dtype=float),
+):
+    """Blurred - blur lap_s found: a step towards (1 + blur lap_s)^-1 of what is blurred. [n_e].
+
+    Args:
+        blurred: [n_e] of any unit.
+        found: [n_e] what the step before has found; at first what is blurred itself.
+        area: [n_e] m^2.
+        weight: [pairs] a_i a_j K_ij.
+        rows: E:E neighbours.
+        n_e: number of E; beyond them there is nothing.
+        blur: m^2.
+        sharp: [n_e].
+    """
+    i = rows.first + wp.tid()
+    change = float(0.0)
+    for k in range(rows.start[i], rows.stop[i]):
+        j = rows.index[k]
+        other = float(0.0)
+        if j < n_e:
+            other = found[j]
+        change += weight[k] * (other - found[i])
+    sharp[i] = blurred[i] - blur * change / area[i]
 
 
 @wp.kernel
@@ -254,11 +330,14 @@ def pack_membrane_e(
     response: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
     frame: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    whole_share: float,
     theta: wp.array(dtype=float),
     # outputs
+    speed: wp.array(dtype=float),
     pack: wp.array(dtype=wp.vec3),
 ):
-    """What `lose_membrane_e` asks of neighbours. [n_e], m/s.
+    """What `lose_membrane_e` asks of neighbours.
 
     Args:
         normal: [n] unit normals.
@@ -266,14 +345,18 @@ def pack_membrane_e(
         change: [n_e] change of the speed by the load, m/s.
         response: [n_e] by a unit pressure, m/s/Pa.
         gas: gas slots.
-        frame: [1] velocity of the film as a whole, m/s.
+        frame: [1] velocity of the film as a whole at the start of the step, m/s.
+        motion: [1] at its end, m/s.
+        whole_share: of the way from the one to the other at which the film moves.
         theta: [1].
-        pack: [n_e] speed against the film as a whole, change y of the speed in the step, and z: how far the one that
-            moves E is ahead of the mean of those before and after.
+        speed: [n_e] speed against the film as a whole, m/s.
+        pack: [n_e] the same, change y of the speed in the step, and z: how far the one that moves E is ahead of the
+            mean of those before and after. m/s.
     """
     i = wp.tid()
     push = float(gas[0, INCREMENT]) * response[i]
-    own = u_mid[i] - wp.dot(frame[0], normal[i])
+    own = u_mid[i] - wp.dot(frame[0] + whole_share * (motion[0] - frame[0]), normal[i])
+    speed[i] = own
     pack[i] = wp.vec3(own, change[i] + push, (theta[0] - 0.5) * change[i] + 0.5 * push)
 
 
@@ -283,29 +366,32 @@ def lose_membrane_e(
     before: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     area: wp.array(dtype=float),
+    cell: wp.array(dtype=float),
     mass: wp.array(dtype=float),
-    gamma: wp.array(dtype=float),
+    heavy: wp.array(dtype=float),
     surface: wp.array(dtype=Quadric),
+    push: wp.array(dtype=float),
+    external: wp.array(dtype=float),
     u_mid: wp.array(dtype=float),
+    speed: wp.array(dtype=float),
     pack: wp.array(dtype=wp.vec3),
     load: wp.array(dtype=float),
     unit: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
     frame: wp.array(dtype=wp.vec3),
     found: wp.array(dtype=wp.vec3),
-    motion: wp.array(dtype=wp.vec3),
-    whole_share: float,
     weight: wp.array(dtype=float),
     rows: Neighbors,
     n_e: int,
-    tension: float,
-    slope: float,
+    stiffness: float,
     bent: float,
     left_out: wp.array(dtype=float),
     blur: float,
     added: float,
     air: int,
     theta: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    rt: float,
     dt: wp.array(dtype=float),
     # outputs
     loss: wp.array(dtype=float),
@@ -313,49 +399,51 @@ def lose_membrane_e(
 ):
     """What the scheme of the membrane takes besides `book_forces_chunks`. [n_e], J.
 
-    * Of a force taken at theta of the way d, (theta - 1/2) d.K d is not stored, K = -2 sigma lap_s + `stretched_bend`.
-    * The matrix has c (lap_s + s) for the force on its way theta dt du: what it has of s too little or too much does
-      work.
-    * Air: (m + A) y (1 + blur lap_s) = b + c (lap_s + s) y gives the impulse (m + A) y of the change y without solving
-      for it; what is not A y.z of it is booked with the liquid. Translations take along the air's mode n = 1.
+    * Tension and gas do the work of the mean of their forces where the step starts and where it ends, times its way: the
+      first half of it is here, the other half in `book_arrival_chunks`. What the solve has done by its forces is taken
+      off. They are what its impulse (1 + blur lap_s)^-1 (b + c (lap_s + s) y) has beyond that of outside forces; on a
+      film alone that is m y.
+    * Air: (m + A) y is that impulse; what is not A y.z of it is booked with the liquid. Translations take along the
+      air's mode n = 1.
 
     Args:
         u: [n] velocity at the end of the step, m/s.
         before: [n_e] at its start, m/s.
         normal: [n] unit normals.
         area: [n_e] m^2.
+        cell: [n_e] Voronoi areas, which tell what a motion sweeps where E are uneven, m^2.
         mass: [n_e] kg.
-        gamma: [n_e] Gamma/Gamma_0.
+        heavy: [n_e] what resists a change of velocity, kg.
         surface: [n_e] fitted surfaces.
+        push: [n_e] from `find_push_e`, sharpened, Pa.
+        external: [n_e] outside forces, Pa.
         u_mid: [n_e] normal speed that moves E, m/s.
+        speed: [n_e] from `pack_membrane_e`; in air sharpened, m/s.
         pack: [n_e] from `pack_membrane_e`, m/s.
         load: [n_e] kg m/s.
         unit: [n_e] of a unit pressure.
         gas: gas slots.
-        frame: [1] velocity of the film as a whole, whose motion bends nothing, m/s.
+        frame: [1] velocity of the film as a whole at the start of the step, m/s.
         found: [1] the one in place of which it is held, m/s.
-        motion: [1] the one at the end of the step, m/s.
-        whole_share: of the way from `frame` to `motion` at which the film moves.
         weight: [pairs] a_i a_j K_ij.
         rows: E:E neighbours.
         n_e: number of E; beyond them the film does not move.
-        tension: sigma_0, N/m.
-        slope: R T Gamma_0, N/m.
+        stiffness: 2 sigma of the matrix, N/m.
         bent: 2/R^2 of the matrix, 1/m^2.
         left_out: [1] what of c bent is not in it, kg/m^2.
         blur: m^2.
         added: mass of the air that translations take along, kg/m^2.
         air: 1 where the air takes part.
         theta: [1].
+        surfactant: [n_e] mol on one interface.
+        rt: R T, J/mol.
         dt: [1] s.
         loss: [n_e] J.
         swelling: [n_e] what the film has more of its area, relative, by the normal motion d, to the second order:
-            -kappa d + (grad_s d)^2/2 + K d^2; surfactant pays for the work of its tension by it. Null without.
+            -kappa d + (grad_s d)^2/2 + K d^2; the surfactant of L pays for the work of its tension by it. Null without.
     """
     i = rows.first + wp.tid()
-    share = theta[0]
     h = dt[0]
-    q = float(gas[0, INCREMENT])
     a = area[i]
     mine = pack[i]
     own = mine[0]
@@ -364,7 +452,7 @@ def lose_membrane_e(
     bend = float(0.0)
     lap = float(0.0)
     lap_ahead = float(0.0)
-    if air == 1 or share != 0.5 or swelling:
+    if air == 1 or swelling:
         for k in range(rows.start[i], rows.stop[i]):
             j = rows.index[k]
             w = weight[k]
@@ -375,20 +463,18 @@ def lose_membrane_e(
             bend += w * d[0] * d[0]
             lap += weight[k] * d[1]
             lap_ahead += weight[k] * d[2]
-    sigma = tension - slope * gamma[i]
-    bow = stretched_bend(surface[i], sigma, float(gas[0, GAUGE]))
+    total = 0.5 * h * cell[i] * push[i] * own + h * a * external[i] * own
     if swelling:
-        moved = frame[0] + whole_share * (motion[0] - frame[0])
-        way = h * (u_mid[i] - wp.dot(moved, normal[i]))
+        way = h * own
         widen = find_gauss(surface[i]) * way - 2.0 * wp.trace(surface[i].second)
         swelling[i] = widen * way + 0.5 * h * h * bend / a
-    total = (share - 0.5) * h * h * (2.0 * sigma * bend + bow * a * own * own)
-    c = 2.0 * (tension - slope) * share * share * h * h
-    softer = c * bent - left_out[0]
-    total += a * own * grown * (-bow * share * share * h * h - softer)
-    if air == 1:
-        impulse = load[i] + q * unit[i] + c * lap + softer * a * grown
-        total += impulse * (ahead - blur * lap_ahead / a) - mass[i] * grown * ahead
+        total += 2.0 * rt * surfactant[i] * swelling[i]
+    if air == 0:
+        total -= heavy[i] * grown * own
+    else:
+        c = stiffness * theta[0] * theta[0] * h * h
+        impulse = load[i] + float(gas[0, INCREMENT]) * unit[i] + c * lap + (c * bent - left_out[0]) * a * grown
+        total += impulse * (ahead - blur * lap_ahead / a - speed[i]) - mass[i] * grown * ahead
         n = normal[i]
         start = wp.dot(before[i] + frame[0] - found[0], n)
         end = wp.dot(u[i], n)
@@ -396,6 +482,52 @@ def lose_membrane_e(
         whole = end - start - grown
         total += added * a * (whole * way + grown * (way - ahead))
     loss[i] = total
+
+
+@wp.kernel
+def book_arrival_chunks(
+    cell: wp.array(dtype=float),
+    push: wp.array(dtype=float),
+    surface: wp.array(dtype=Quadric),
+    tension: float,
+    normal: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    left: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    gas: wp.array2d(dtype=wp.float64),
+    dt: wp.array(dtype=float),
+    n: int,
+    # outputs
+    part: wp.array2d(dtype=wp.float64),
+):
+    """The other half of what tension and gas do on the way of E, by their forces where it ends. Slot ARRIVING.
+
+    The way is that before the offset d, for which the mean of the forces before and after it counts.
+
+    Args:
+        cell: [n_e] Voronoi areas, m^2.
+        push: [n_e] from `find_push_e`, after the offset, sharpened, Pa.
+        surface: [n_e] fitted surfaces.
+        tension: sigma_0, N/m.
+        normal: [n] unit normals.
+        x: [n] E at the end of the step, m.
+        left: [n] at the start of their way, m.
+        frame: [1] velocity of the film as a whole in the step, m/s.
+        gas: gas slots.
+        dt: [1] s.
+        n: number of E.
+        part: parts.
+    """
+    c = wp.tid()
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    d = float(gas[0, OFFSET])
+    total = wp.float64(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        bend = find_bend(surface[i])
+        less = 2.0 * tension * d * (bend * bend - 2.0 * find_gauss(surface[i]))
+        way = wp.dot(normal[i], x[i] - left[i] - dt[0] * frame[0]) - d
+        total += wp.float64(0.5 * cell[i] * ((push[i] - less) * (way + d) + push[i] * d))
+    part[c, ARRIVING] = total
 
 
 @wp.kernel
@@ -430,7 +562,7 @@ def book_forces_chunks(
     theta: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
     p_atm: wp.float64,
-    closed: int,
+    pressed: int,
     flowing: int,
     midway: int,
     flat: int,
@@ -476,7 +608,7 @@ def book_forces_chunks(
         theta: [1] share of the step that the flow along the film is solved for.
         gas: gas slots.
         p_atm: Pa.
-        closed: 1 where there is gas.
+        pressed: 1 where the gas takes a part that no other formula has.
         flowing: 1 where liquid flows along the film.
         midway: 1 where L move with the velocity half a step on, whatever theta.
         flat: 1 where `fall_chunks` follows.
@@ -584,7 +716,7 @@ def book_forces_chunks(
     part[c, SHIFTS] = wp.float64(0.0)
     part[c, ENDED] = ended
     part[c, PRESSING] = wp.float64(0.0)
-    if closed == 1 and begins_region(c, parts, first.shape[0] - 1):
+    if pressed == 1 and begins_region(c, parts, first.shape[0] - 1):
         swept = gas[g, AMOUNT] / (p_atm + gas[g, GAUGE]) - gas[g, VOLUME]
         part[c, PRESSING] = -wp.float64(0.5) * gas[g, INCREMENT] * swept
 
@@ -749,16 +881,20 @@ def load_air_e(
     normal: wp.array(dtype=wp.vec3),
     motion: wp.array(dtype=wp.vec3),
     kept: int,
+    found: wp.array(dtype=wp.float64),
+    limit: wp.float64,
     # outputs
     speed: wp.array(dtype=float),
 ):
-    """Normal speed against the film as a whole at the start of the step to come. [n_e], m/s.
+    """Normal speed against the film as a whole. [n_e], m/s.
 
     Args:
         u: [n] m/s.
         normal: [n] unit normals.
         motion: [1] m/s.
-        kept: 1 where the step begins with `keep_normal_e`.
+        kept: 1 at the start of a step that begins with `keep_normal_e`.
+        found: from `kernels.air_range`; null where nothing is left out beyond the range of the air.
+        limit: slope that the range ends with.
         speed: [n_e] m/s.
     """
     i = wp.tid()
@@ -767,6 +903,8 @@ def load_air_e(
     if kept == 1:
         own = wp.sign(own) * wp.length(u[i])
     speed[i] = own - wp.dot(motion[0], n)
+    if found and found[SLOPE] > limit:
+        speed[i] = 0.0
 
 
 @wp.kernel
@@ -803,25 +941,27 @@ def air_chunks(
 
 
 @wp.kernel
-def book_range_chunks(
+def book_air_chunks(
     speed: wp.array(dtype=float),
     moved: wp.array(dtype=float),
     area: wp.array(dtype=float),
     found: wp.array(dtype=wp.float64),
     n: int,
     after: int,
+    slot: int,
     # outputs
     part: wp.array2d(dtype=wp.float64),
 ):
-    """What the motion of E and `slow_air_e` take of the air's energy where it is beyond its range. Slot RANGE.
+    """What the air has less of its energy once E have moved, with the velocity that they had.
 
     Args:
-        speed: [n_e] v against the film as a whole, 0 within the range, m/s.
+        speed: [n_e] v against the film as a whole, 0 where it is booked otherwise, m/s.
         moved: [n_e] A v, kg/(m s).
         area: [n_e] m^2.
-        found: from `kernels.air_range`.
+        found: from `kernels.air_range` where `slow_air_e` takes part of it; null elsewhere.
         n: number of E.
         after: 1 once E have moved, 0 before.
+        slot: RANGE or SHAPING.
         part: parts.
     """
     c = wp.tid()
@@ -830,11 +970,11 @@ def book_range_chunks(
     for i in range(c * size, wp.min(n, (c + 1) * size)):
         total += wp.float64(0.5 * area[i] * speed[i] * moved[i])
     if after == 1:
-        if found[AFTER] > found[BEFORE]:
+        if found and found[AFTER] > found[BEFORE]:
             total *= found[BEFORE] / found[AFTER]
-        part[c, RANGE] = part[c, RANGE] - total
+        part[c, slot] = part[c, slot] - total
     else:
-        part[c, RANGE] = total
+        part[c, slot] = total
 
 
 @wp.kernel

@@ -273,8 +273,10 @@ class Simulation:
 
     def _weighed(self) -> Reading:
         """The budget with the liquid where it is now (reads back)."""
-        self.stepper.budget.weigh()
-        return self.stepper.budget.read()
+        budget = self.stepper.budget
+        budget.look()
+        budget.weigh()
+        return budget.read()
 
     def _keep(self) -> None:
         """Take the state as it is for the one to go back to."""

@@ -18,6 +18,7 @@ from melp_warp.device.launch import clear, copy, launch
 from melp_warp.device.linear import RationalLaplacian
 from melp_warp.kernels import budget as kb
 from melp_warp.kernels.boundary import vec7d
+from melp_warp.stages.air_range import SLOPE
 from melp_warp.stages.film import Film
 from melp_warp.stages.state import State
 from melp_warp.stepping.ledger import Reading, sum_terms
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 AIR_TOLERANCE = 3e-2
 """Relative residual of the air's momentum; that of its energy is about its square."""
+
+SHAPE_TOLERANCE = 0.1
+"""The same where only a change of that energy is asked for, which is off by as large a share."""
 
 
 class Budget:
@@ -51,9 +55,11 @@ class Budget:
         self._bending, self._packed, self._swelling, self._ended = 4 * (None,)
         if f.normal == "membrane":
             self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
+            self._push, self._speed, self._blurred, self._sharp = (film.zeros(film.n_e) for _ in range(4))
             self._swelling = film.zeros(film.n_e) if f.lagrangian and f.marangoni else None
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
-        self._air_solver, self._airs = self._make_air(), film.parts(wp.float64)
+        self._air_solver, self._airs = self._make_air(AIR_TOLERANCE), film.parts(wp.float64)
+        self._shape = self._make_air(SHAPE_TOLERANCE)
         self._falls = f.lagrangian and not f.moving and any(film.surroundings.height)
         self._mixed = film.parts(wp.float64) if f.mixes or f.exchanges else None
         self._rim = stepper.rim if f.collects else None
@@ -102,7 +108,7 @@ class Budget:
                 *(
                     self.state.gas,
                     film.surroundings.pressure,
-                    int(f.closed),
+                    int(f.closed and self._bending is None),
                     int(f.lagrangian),
                     int(f.circulation),
                     int(self._falls),
@@ -161,29 +167,73 @@ class Budget:
 
     def _lose_membrane(self) -> None:
         film, e, s = self.film, self.state.e, self._stages
-        membrane, geometry = s.membrane, s.geometry
-        response, bent = membrane.response, 2.0 / film.radius**2
-        moved = [membrane.u_mid, response.load.x, response.unit.x, self.state.gas, membrane.start, membrane.share]
-        film.launch_e(kb.pack_membrane_e, [e.normal, *moved], [self._packed])
+        membrane, geometry, response = s.membrane, s.geometry, s.membrane.response
+        air = self._air_solver is not None
+        moved = [membrane.u_mid, response.load.x, response.unit.x, self.state.gas, *self._path(), membrane.share]
+        film.launch_e(kb.pack_membrane_e, [e.normal, *moved], [self._speed, self._packed])
+        if air:
+            self._sharpen(self._speed, membrane.blur, self._speed)
         film.launch_e(
             kb.lose_membrane_e,
             [
-                *(e.u, self.before, e.normal, geometry.area, e.mass, s.fields.gamma, geometry.surface),
-                *(membrane.u_mid, self._packed, response.load.b, response.unit.b, self.state.gas),
-                *(membrane.start, membrane.found, self.state.motion, membrane.theta_whole),
+                *(e.u, self.before, e.normal, geometry.area, geometry.cell, e.mass, s.forces.heavy, geometry.surface),
+                *(self._push, membrane.external, membrane.u_mid, self._speed, self._packed),
+                *(response.load.b, response.unit.b, self.state.gas, membrane.start, membrane.found),
                 *(geometry.weight, s.lists.ee.rows, film.n_e),
-                *(film.material.tension, film.slope, bent, response.left_out, membrane.blur, membrane.rigid_air),
-                *(int(self._air_solver is not None), membrane.share, s.dt.array),
+                *(2.0 * film.material.film_tension, 2.0 / film.radius**2, response.left_out, membrane.blur),
+                *(membrane.rigid_air, int(air), membrane.share, e.surfactant, film.material.rt, s.dt.array),
             ],
             [self._bending, self._swelling],
         )
 
+    def _sharpen(self, values: wp.array, blur: float, into: wp.array) -> None:
+        """Put (1 + blur lap_s)^-1 values, [n_e], into an array, up to the second power of blur lap_s."""
+        film, geometry = self.film, self._stages.geometry
+        copy(self._blurred, values)
+        inputs = [geometry.area, geometry.weight, self._stages.lists.ee.rows, film.n_e, blur]
+        for found, sharp in ((self._blurred, self._sharp), (self._sharp, into)):
+            film.launch_e(kb.sharpen_e, [self._blurred, found, *inputs], [sharp])
+
+    def look(self) -> None:
+        """Find the forces of tension and gas across a film as it is, once its geometry is found."""
+        if self._bending is None:
+            return
+        film, e, geometry = self.film, self.state.e, self._stages.geometry
+        blur = geometry.blur("mls")
+        amount = None if film.features.lagrangian or film.slope == 0.0 else e.surfactant
+        film.launch_e(
+            kb.find_push_e,
+            [
+                *(geometry.surface, geometry.area, amount),
+                *(film.material.tension, film.material.rt, self.state.gas, 8.0 * blur),
+            ],
+            [self._push],
+        )
+        self._sharpen(self._push, blur, self._push)
+
     def book_range(self, after: bool) -> None:
         """Book what becomes of the energy of air beyond its range as E move: before they do, and `after`."""
         beyond = self._stages.air_range
-        solver, n = beyond.solver, self.film.n_e
-        inputs = [solver.b, solver.x, self._stages.geometry.area, beyond.found, n, int(after)]
-        self.film.launch_parts(kb.book_range_chunks, inputs, [self.part])
+        if beyond is not None:
+            self._book_air(beyond.solver, beyond.found, after, kb.RANGE)
+
+    def book_shape(self, after: bool) -> None:
+        """Book what becomes of that of air within its range as the film gets another shape, as before."""
+        if self._air_solver is not None:
+            beyond = self._stages.air_range
+            self._find_air(0, None if beyond is None else beyond.found, self._shape)
+            self._book_air(self._shape, None, after, kb.SHAPING)
+
+    def _book_air(self, solver: RationalLaplacian, found: wp.array | None, after: bool, slot: int) -> None:
+        inputs = [solver.b, solver.x, self._stages.geometry.area, found, self.film.n_e, int(after), slot]
+        self.film.launch_parts(kb.book_air_chunks, inputs, [self.part])
+
+    def _find_air(self, kept: int, found: wp.array | None, solver: RationalLaplacian) -> None:
+        """Find the momentum of the air; none beyond its range where it is `found` to be."""
+        e = self.state.e
+        inputs = [e.u, e.normal, self.state.motion, kept, found, wp.float64(SLOPE)]
+        self.film.launch_e(kb.load_air_e, inputs, [solver.b])
+        solver.solve()
 
     def book_shifts(self) -> None:
         """Book what shifts of E have done to their velocities."""
@@ -199,7 +249,24 @@ class Budget:
         )
 
     def book_stars(self) -> None:
-        """Book what the energy has less once the geometry is found anew: that of foams."""
+        """Book what the energy has less once the geometry is found anew."""
+        self.book_shape(after=True)
+
+    def book_end(self) -> None:
+        """Book what tension and gas do where E have arrived, and what the air keeps."""
+        self.book_range(after=True)
+        if self._bending is None:
+            return
+        self.look()
+        film, e, s = self.film, self.state.e, self._stages
+        shape = [s.geometry.cell, self._push, s.geometry.surface, film.material.tension]
+        way = [e.normal, e.x, self._left_from(), s.frame, self.state.gas, s.dt.array, film.n_e]
+        film.launch_parts(kb.book_arrival_chunks, [*shape, *way], [self.part])
+
+    def _left_from(self) -> wp.array:
+        """Where E were before they moved, once they were evened out."""
+        advance = self._stages.e_advance
+        return advance.redistribution.shifted if advance.redistribution else advance.x_old
 
     def weigh(self) -> None:
         """Have the step to come note what is stored: on the host's word, as only the last one of a frame needs it.
@@ -222,22 +289,20 @@ class Budget:
             self._rim.taken(self._taken)
             copy(self._border, state.border)
 
-    def _make_air(self) -> RationalLaplacian | None:
+    def _make_air(self, tolerance: float) -> RationalLaplacian | None:
         """What finds the momentum of the air around a single film; None where a film has none."""
         film, s = self.film, self._stages
         if not film.features.air_waves:
             return None
         arrays = [s.geometry.weight, s.geometry.area, s.lists.ee.rows]
-        solver = RationalLaplacian(film.n_e, film.total, *arrays, AIR_TOLERANCE, None, film.device)
+        solver = RationalLaplacian(film.n_e, film.total, *arrays, tolerance, None, film.device)
         response = s.membrane.response
         solver.set_function(*(p.astype(complex) for p in response.poles), response.low)
         return solver
 
     def _weigh_air(self) -> None:
         film, e, solver, motion = self.film, self.state.e, self._air_solver, self.state.motion
-        kept = int(not film.features.lagrangian)
-        film.launch_e(kb.load_air_e, [e.u, e.normal, motion, kept], [solver.b])
-        solver.solve()
+        self._find_air(int(not film.features.lagrangian), None, solver)
         area, added = self._stages.geometry.area, self._stages.membrane.rigid_air
         film.launch_parts(kb.air_chunks, [solver.b, solver.x, area, e.normal, motion, added, film.n_e], [self._airs])
 

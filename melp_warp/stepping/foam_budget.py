@@ -46,8 +46,7 @@ class FoamBudget(Budget):
 
     def _book_moves(self) -> None:
         """Book what the forces of a foam would do on the way of its E."""
-        film, e, advance = self.film, self.state.e, self._stages.e_advance
-        shifted = advance.redistribution.shifted if advance.redistribution else advance.x_old
+        film, e, advance, shifted = self.film, self.state.e, self._stages.e_advance, self._left_from()
         film.launch_e(
             kb.lose_move_e,
             [advance.x_old, shifted, e.x, *self._tensed()],

@@ -258,8 +258,9 @@ class AdvanceE(Stage):
         s.membrane.find_frame()
         if s.air_range is not None:
             s.air_range.measure()
-            if s.budget is not None:
-                s.budget.book_range(after=False)
+        if s.budget is not None:
+            s.budget.book_range(after=False)
+            s.budget.book_shape(after=False)
         s.e_advance.advance(s.membrane.u_mid, s.frame, dt)
         s.membrane.recall()
         if s.budget is not None:
@@ -304,8 +305,8 @@ class FindGeometry(Stage):
         if s.air_range is not None:
             s.air_range.damp()
         s.membrane.close_volume()
-        if s.air_range is not None and s.budget is not None:
-            s.budget.book_range(after=True)
+        if s.budget is not None:
+            s.budget.book_end()
 
 
 class AdvanceL(Stage):

@@ -117,6 +117,8 @@ class Stepper:
         rows = max(film.n_e, film.n_l)
         self._graphs = [Recorded(run, device, rows) for run in (self._move, self._follow)]
         self.geometry.update() if fresh else self.geometry.again()
+        if self.budget is not None:
+            self.budget.look()
         self.carrier.begin()
 
     def _make_parts(self) -> None:
