@@ -546,8 +546,10 @@ def book_forces_chunks(
     rigid: wp.array(dtype=wp.vec3),
     surfactant: wp.array(dtype=float),
     rt: float,
+    turning: wp.array(dtype=float),
     traction: wp.array(dtype=wp.vec3),
     passed: wp.array(dtype=wp.vec3),
+    recoil: wp.array(dtype=wp.vec3),
     widening: wp.array(dtype=float),
     swelling: wp.array(dtype=float),
     growth: wp.array(dtype=float),
@@ -591,9 +593,12 @@ def book_forces_chunks(
         rigid: [1] is the pressure p.n that carries the lift, Pa; null where there is none.
         surfactant: [n_e] mol on one interface.
         rt: R T, J/mol.
+        turning: [n_e] centrifugal force of the flow along the film, which does work that the flow does not feel, Pa; null
+            without.
         traction: [n_e] force of uneven tension along the film, Pa; null without surfactant.
-        passed: [regions] velocity as a whole at the time of the paths: its traction and that across the film, which
-            bends, do no work together. m/s.
+        passed: [regions] velocity as a whole at the time of the paths, m/s. As nothing widens by it, surfactant does not
+            pay for the work of its traction on it.
+        recoil: from `motion.recoil`, which should make up for that work; null where a film does not recoil.
         widening: [n_e] growth of the film with the paths of L, see `surfactant.widen_path_e`.
         swelling: [n_e] what normal motion makes, which the membrane has.
         growth: [n_e] relative growth of the thickness of L.
@@ -676,6 +681,8 @@ def book_forces_chunks(
                 path = along + 0.5 * change
             ended += kinetic(mass[i], last)
             flow += m * wp.float64(wp.dot(change, path - along - 0.5 * change))
+            if turning:
+                flow -= wp.float64(area[i] * turning[i]) * moved * h
             against = drag * area[i] * ahead
             if wind:
                 against -= drag * area[i] * tangential(wind[g], n)
@@ -688,6 +695,10 @@ def book_forces_chunks(
                 free = wp.float64(2.0 * rt * surfactant[i])
                 spread += free * wp.float64(widening[i] - swelling[i])
                 spread -= wp.float64(area[i] * wp.dot(traction[i], path - passed[g])) * h
+                if recoil:
+                    flow -= wp.float64(area[i] * wp.dot(traction[i], passed[g])) * h
+                    flow += m * wp.float64(wp.dot(tangential(recoil[1], n), path))
+                    flow -= (m + wp.float64(taken[g] * area[i])) * wp.float64(wp.dot(recoil[0], n)) * moved
                 mended -= free * wp.float64(growth[i] + widening[i])
                 widened += wp.float64(claim[i] * widening[i])
             if diffused:

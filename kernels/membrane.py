@@ -89,6 +89,7 @@ def add_turning_e(
     gradient: wp.array(dtype=wp.vec3),
     # outputs
     external: wp.array(dtype=float),
+    turning: wp.array(dtype=float),
 ):
     """Add the centrifugal force of liquid that flows along a bent film, m w.(w.grad_s n) a unit of area.
 
@@ -105,6 +106,7 @@ def add_turning_e(
         rows: E:E neighbours.
         gradient: [pairs] surface-gradient weights, 1/m.
         external: [n_e] Pa.
+        turning: [n_e] that force alone, Pa; null where nobody asks.
     """
     i = rows.first + wp.tid()
     n = normal[i]
@@ -112,7 +114,10 @@ def add_turning_e(
     turn = float(0.0)
     for k in range(rows.start[i], rows.stop[i]):
         turn += wp.dot(gradient[k], w) * wp.dot(normal[rows.index[k]] - n, w)
-    external[i] = external[i] + mass[i] / area[i] * turn
+    force = mass[i] / area[i] * turn
+    external[i] = external[i] + force
+    if turning:
+        turning[i] = force
 
 
 @wp.kernel

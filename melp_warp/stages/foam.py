@@ -83,12 +83,12 @@ class FoamMembrane:
         whole: [regions] inertia of each region as a whole, kg.
         bent: [regions] turn of normals that counts as a bend.
         at_rest: [regions] what lists move along with: those between regions move along with none.
-        rigid: None; a single film has it.
+        rigid, turning: None; a single film has them.
     """
 
     needs = ("lists", "geometry", "fields", "forces", "drag")
     kernels = ("foam", "contact", "line_forces", "regions", "exchange", "motion", "gas", "linear")
-    rigid = None
+    rigid = turning = None
 
     def __init__(
         self,

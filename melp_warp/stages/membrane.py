@@ -95,6 +95,7 @@ class Membrane:
         self.start, self.frame, self.passed = (film.zeros(1, wp.vec3) for _ in range(3))
         self.found, self.kick = film.zeros(1, wp.vec3), film.zeros(2, wp.vec3)
         self.lifted = film.parts(wp.vec3)
+        self.turning = film.zeros(n) if film.features.budget and film.features.lagrangian else None
         self.mean = film.parts(wp.vec2)
         self.moment, self.inertia = film.parts(wp.mat33), film.parts(wp.mat33)
         self.net, self.net_external = film.parts(wp.vec3), film.parts(wp.vec3)
@@ -199,7 +200,7 @@ class Membrane:
                     *(e.normal, e.mass, self.geometry.area, e.u, self.start),
                     *(self.lists.ee.rows, self.geometry.gradient),
                 ],
-                [self.external],
+                [self.external, self.turning],
             )
         inertia = self.forces.inertia
         if film.features.floats:

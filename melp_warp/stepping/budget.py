@@ -100,7 +100,7 @@ class Budget:
                 *((membrane.found, membrane.start) if held else (None, None)),
                 *(self._air(), membrane.taken if f.moving else None, self._bending),
                 membrane.rigid if held else None,
-                *(e.surfactant, film.material.rt, *self._widening()),
+                *(e.surfactant, film.material.rt, membrane.turning if membrane is not None else None, *self._widening()),
                 *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.height),
                 *(film.surroundings.drag, flow.wind if flow else None, film.surroundings.damping),
                 membrane.drift if f.moving else None,
@@ -153,12 +153,13 @@ class Budget:
         return [lag.eta, m.density / m.surfactant, m.rt]
 
     def _widening(self) -> list:
-        """Traction of uneven tension, and what becomes of the area and the thickness of L; None without surfactant."""
+        """Traction of uneven tension, what it does as a whole, and what becomes of the area and the thickness of L."""
         flow, transfer = self._stages.tangential, self._stages.transfer
         if not self.film.features.marangoni or flow is None:
-            return 6 * [None]
+            return 7 * [None]
+        kick = self._stages.membrane.kick if self.film.features.recoils else None
         swelling = flow.swelling if self._swelling is None else self._swelling
-        return [flow.traction, self._stages.passed, flow.widening, swelling, transfer.growth, transfer.claim]
+        return [flow.traction, self._stages.passed, kick, flow.widening, swelling, transfer.growth, transfer.claim]
 
     def _path(self) -> list:
         """Velocities as a whole that the films move at in a step: two and the share of the way between them."""
