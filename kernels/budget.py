@@ -399,10 +399,9 @@ def lose_membrane_e(
 ):
     """What the scheme of the membrane takes besides `book_forces_chunks`. [n_e], J.
 
-    * Tension and gas do the work of the mean of their forces where the step starts and where it ends, times its way: the
-      first half of it is here, the other half in `book_arrival_chunks`. What the solve has done by its forces is taken
-      off. They are what its impulse (1 + blur lap_s)^-1 (b + c (lap_s + s) y) has beyond that of outside forces; on a
-      film alone that is m y.
+    * Tension and gas do the work of the mean of their forces where the step starts and where it ends, times its way:
+      half of it is here, the other half in `book_arrival_chunks`. What the solve has done by its forces is taken off:
+      its impulse (1 + blur lap_s)^-1 (b + c (lap_s + s) y), on a film alone m y, less that of outside forces.
     * Air: (m + A) y is that impulse; what is not A y.z of it is booked with the liquid. Translations take along the
       air's mode n = 1.
 
@@ -593,11 +592,10 @@ def book_forces_chunks(
         rigid: [1] is the pressure p.n that carries the lift, Pa; null where there is none.
         surfactant: [n_e] mol on one interface.
         rt: R T, J/mol.
-        turning: [n_e] centrifugal force of the flow along the film, which does work that the flow does not feel, Pa; null
-            without.
+        turning: [n_e] centrifugal force of the flow along the film, Pa: its work the flow does not feel; null without.
         traction: [n_e] force of uneven tension along the film, Pa; null without surfactant.
-        passed: [regions] velocity as a whole at the time of the paths, m/s. As nothing widens by it, surfactant does not
-            pay for the work of its traction on it.
+        passed: [regions] velocity as a whole at the time of the paths, m/s. Nothing widens by it, so surfactant pays for
+            nothing that its traction does by it.
         recoil: from `motion.recoil`, which should make up for that work; null where a film does not recoil.
         widening: [n_e] growth of the film with the paths of L, see `surfactant.widen_path_e`.
         swelling: [n_e] what normal motion makes, which the membrane has.

@@ -100,7 +100,7 @@ class Budget:
                 *((membrane.found, membrane.start) if held else (None, None)),
                 *(self._air(), membrane.taken if f.moving else None, self._bending),
                 membrane.rigid if held else None,
-                *(e.surfactant, film.material.rt, membrane.turning if membrane is not None else None, *self._widening()),
+                *(e.surfactant, film.material.rt, membrane.turning if membrane else None, *self._widening()),
                 *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.height),
                 *(film.surroundings.drag, flow.wind if flow else None, film.surroundings.damping),
                 membrane.drift if f.moving else None,
