@@ -594,8 +594,8 @@ def book_forces_chunks(
         rt: R T, J/mol.
         turning: [n_e] centrifugal force of the flow along the film, Pa: its work the flow does not feel; null without.
         traction: [n_e] force of uneven tension along the film, Pa; null without surfactant.
-        passed: [regions] velocity as a whole at the time of the paths, m/s. Nothing widens by it, so surfactant pays for
-            nothing that its traction does by it.
+        passed: [regions] velocity as a whole at the time of the paths, m/s. Nothing widens by it, so surfactant pays
+            for nothing that its traction does by it.
         recoil: from `motion.recoil`, which should make up for that work; null where a film does not recoil.
         widening: [n_e] growth of the film with the paths of L, see `surfactant.widen_path_e`.
         swelling: [n_e] what normal motion makes, which the membrane has.
