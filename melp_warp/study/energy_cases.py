@@ -60,9 +60,9 @@ class Found:
 
 CASES = (
     EnergyCase("oscillating_bubble", 300, {"e_count": 1000}, 0.01),
-    EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "air": "added_mass"}, 0.07),
-    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4}, 0.02),
-    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4, "air": "none"}, 0.07),
+    EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "air": "added_mass"}, 0.01),
+    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4}, 0.01),
+    EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4, "air": "none"}, 0.01),
     EnergyCase("drainage", 150, {"e_count": 400, "l_per_e": 8}, 0.01),
     EnergyCase("equilibrium", 150, {"e_count": 400, "l_per_e": 8}, 0.01),
     EnergyCase("taylor_vortices", 192, {"e_count": 900, "l_per_e": 8}, 0.01),
