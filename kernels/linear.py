@@ -287,6 +287,26 @@ def set_beta(
 
 
 @wp.kernel
+def set_product(rz: wp.array(dtype=float), scalar: wp.array(dtype=float)):
+    """Set (r, z) where it is not what the residual is measured by."""
+    scalar[RZ] = total_of(rz)
+
+
+@wp.kernel
+def stop_at_limit(
+    measured: wp.array(dtype=float),
+    # outputs
+    scalar: wp.array(dtype=float),
+    go: wp.array(dtype=int),
+):
+    """Stop where the residual is within the limit by another measure than (r, z); follows `set_beta`."""
+    error = total_of(measured)
+    scalar[ERROR] = error
+    if not (error > scalar[LIMIT]):
+        go[0] = 0
+
+
+@wp.kernel
 def advance_solution(
     scalar: wp.array(dtype=float),
     p: wp.array(dtype=Any),

@@ -5,7 +5,7 @@ import warp as wp
 from melp_warp.kernels.mls import fit_height
 from melp_warp.kernels.native import away_from_near, change_over_fit, gradient_row, solve_fit, vec5
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range, region_parts
+from melp_warp.kernels.regions import part_range, region_parts, region_total
 from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -76,6 +76,46 @@ def load_pressure_e(
     s = spread[region[i]]
     b[i] = wp.where(s[2] > 0.0, (d - s[1]) / (d * d), 0.0)
     start[i] = 0.0
+
+
+@wp.kernel
+def load_chunks(
+    b: wp.array(dtype=float),
+    density: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    part: wp.array(dtype=wp.vec2),
+):
+    """Parts of (sum b, sum 1/delta)."""
+    c = wp.tid()
+    start, stop = part_range(c, first, part.shape[0])
+    total = wp.vec2()
+    for i in range(start, stop):
+        total += wp.vec2(b[i], 1.0 / density[i])
+    part[c] = total
+
+
+@wp.kernel
+def balance_pressure_e(
+    density: wp.array(dtype=float),
+    region: wp.array(dtype=wp.int32),
+    part: wp.array(dtype=wp.vec2),
+    regions: int,
+    # outputs
+    b: wp.array(dtype=float),
+):
+    """Take from the load of (20) what it sums up to over a closed film: rounding of the mean, and no C belongs to it.
+
+    Args:
+        density: [n_e] 1/m^2.
+        region: [n_e].
+        part: from `load_chunks`.
+        regions: number of regions.
+        b: [n_e].
+    """
+    i = wp.tid()
+    total = region_total(part, region[i], regions)
+    b[i] = b[i] - total[0] / total[1] / density[i]
 
 
 @wp.func

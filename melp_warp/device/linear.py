@@ -191,6 +191,7 @@ class ConjugateGradient(Solver):
         self.operator = operator
         self.jacobi = jacobi
         self.change = CHANGE if of_change else 0.0
+        self.slack = 1.0
         self.b, self.r, self.z, self.q = (wp.zeros(self.n, dtype=dtype, device=self.device) for _ in range(4))
         self.p = wp.zeros(total, dtype=dtype, device=self.device)
         self.x = wp.zeros(total, dtype=dtype, device=self.device) if x is None else x
@@ -218,7 +219,8 @@ class ConjugateGradient(Solver):
         self._over_entries(k.advance_solution, [self.scalar, self.p, self.q, self.inverse], moved)
         self._precondition()
         self._dot(self.r, self.z, self.part_a)
-        self._launch(k.set_beta, [self.part_a, self.control, 1.0], [self.scalar, self.go], dim=1)
+        self._launch(k.set_beta, [self.part_a, self.control, self.slack], [self.scalar, self.go], dim=1)
+        self._stop()
         self._over_entries(k.advance_direction, [self.scalar, self.z], [self.p])
 
     def _apply(self):
@@ -227,6 +229,9 @@ class ConjugateGradient(Solver):
 
     def _precondition(self):
         """From D^-1 r, which z is already, to what the search goes on from."""
+
+    def _stop(self):
+        """Decide whether to go on, where the preconditioned residual does not."""
 
     def _sweep(self):
         arguments = [self.b, *self.operator.arrays, self.inverse, self.jacobi]

@@ -74,16 +74,17 @@ class MultilevelGradient(ConjugateGradient):
     coarse levels are needed, no matrices: along a surface the stiffness of a level is the same as that of the finest.
     Towards where unknowns are held, by a rim or by their own diagonal, what coarse levels add fades out.
 
-    The search ends at sqrt((r, M r)/(b, M b)) below the tolerance, M the preconditioner: that is, as good as in the
-    energy norm, the error itself.
+    The search starts from `x` and ends where `ConjugateGradient` does, at the same residual, measured by D^-1: each
+    wave of it counts alike. By `energy` it starts from 0 and ends at sqrt((r, M r)/(b, M b)) below the tolerance, M the
+    preconditioner: as good as in the energy norm, the error itself. The longer the waves of b are against the spacing,
+    the more that leaves of the shortest.
 
     Args:
         operator: the matrix; unknowns at the points of the first of the levels.
         total: unknowns and boundary entries.
-        tolerance, max_iterations: see `ConjugateGradient`.
+        tolerance, max_iterations, x: see `ConjugateGradient`.
         levels: from the finest on.
-        guessed: start from `x`, which the owner fills; else from 0.
-        x: see `ConjugateGradient`.
+        energy: see above.
     """
 
     def __init__(
@@ -93,11 +94,12 @@ class MultilevelGradient(ConjugateGradient):
         tolerance,
         max_iterations,
         levels: list[Level],
-        guessed: bool = False,
         x: wp.array | None = None,
+        energy: bool = False,
     ):
         super().__init__(operator, total, wp.float32, tolerance, max_iterations, x=x)
-        self.guessed = guessed
+        self.energy = energy
+        self.slack = 1.0 if energy else 0.0
         self._diagonals = _Diagonals(self, operator, levels)
         self._r = [self.r, *(self._zeros(level.places) for level in levels)]
         self._z = [self.z, *(self._zeros(level.places) for level in levels)]
@@ -107,26 +109,39 @@ class MultilevelGradient(ConjugateGradient):
 
     def _body(self):
         a = self.operator.arrays
+        if self.energy:
+            clear(self.x)
         self._launch(k.invert_diagonal, a, [self.inverse])
         self._diagonals.find()
-        reference = self.part_a
-        if self.guessed:
-            reference = self.part_b
-            copy(self.r, self.b)
-            self._launch(k.scale_sweep_e, [self.r, self.inverse], [self.z])
-            self._precondition()
-            self._dot(self.r, self.z, reference)
-        else:
-            clear(self.x)
         self._launch(k.start_residual, [self.x, self.b, *a, self.inverse], [self.r, self.z, self.p])
+        if self.energy:
+            self._turn()
+            self._start_at(self.part_a, self.part_a)
+        else:
+            self._dot(self.r, self.z, self.part_a)
+            self._launch(k.weighted_chunks, [self.b, self.b, self.inverse, self.n], [self.part_b], dim=CHUNKS)
+            self._start_at(self.part_a, self.part_b)
+            self._turn()
+            self._launch(k.set_product, [self.part_a], [self.scalar], dim=1)
+        self._repeat(self._iterate)
+
+    def _turn(self):
+        """The first direction."""
         self._precondition()
         copy(self.p, self.z, count=self.n)
         self._dot(self.r, self.z, self.part_a)
-        self._launch(k.start_scalars, [self.part_a, reference, self.control, 0.0], [self.scalar, self.go], dim=1)
-        self._repeat(self._iterate)
+
+    def _start_at(self, measured, reference):
+        self._launch(k.start_scalars, [measured, reference, self.control, 0.0], [self.scalar, self.go], dim=1)
+
+    def _stop(self):
+        if not self.energy:
+            self._launch(k.stop_at_limit, [self.part_b], [self.scalar, self.go], dim=1)
 
     def _precondition(self):
         """From D^-1 r to the sum over all levels."""
+        if not self.energy:
+            self._dot(self.r, self.z, self.part_b)
         steps = list(enumerate(self._diagonals.pairs()))
         for at, (level, fine, part) in steps:
             inputs = [level.down, level.down_weight, fine.fade, self._r[at], part.inverse]

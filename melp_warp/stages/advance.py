@@ -80,11 +80,13 @@ class Redistribution:
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
         operator = LinearOperator(film.n_e, lists.ee.rows, film.device, pair=geometry.weight)
         most = math.ceil(SHIFT_ITERATIONS * math.sqrt(film.n_e))
-        self.solver = make_solver(film, lists, operator, SHIFT_TOLERANCE, most, guessed=False)
+        self.solver = make_solver(film, lists, operator, SHIFT_TOLERANCE, most)
         size = math.sqrt(film.n_e / film.regions / (4.0 * math.pi))
         self._limit = film.spacing * (SHIFT_SHARE * size)
         self.spread = film.zeros(film.regions, wp.vec3)
         self._part = film.parts(wp.vec4)
+        # of many E the mean is rounded by as much as they depart from it
+        self._loads = film.parts(wp.vec2) if film.features.coarse and not film.features.rim else None
         self.shifted, self._u = (film.zeros(film.n_e, wp.vec3) for _ in range(2))
         self._u_mid = film.zeros(film.n_e)
         # the liquid of a film with L is theirs
@@ -107,6 +109,10 @@ class Redistribution:
         film.launch_parts(kr.spread_chunks, [geometry.density, film.first], [self._part])
         film.launch_regions(kr.summarize_spread_r, [self._part, threshold], [self.spread])
         film.launch_e(kr.load_pressure_e, [geometry.density, e.region, self.spread], [self.solver.b, self.solver.x])
+        if self._loads is not None:
+            film.launch_parts(kr.load_chunks, [self.solver.b, geometry.density, film.first], [self._loads])
+            inputs = [geometry.density, e.region, self._loads, film.regions]
+            film.launch_e(kr.balance_pressure_e, inputs, [self.solver.b])
         self.solver.solve()
         film.launch_e(
             kr.shift_e,

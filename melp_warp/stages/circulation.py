@@ -58,9 +58,8 @@ class Circulation:
         self.carried, self.blurred, self._deficit, self._made = (film.zeros(n) for _ in range(4))
         self._mean = film.parts(wp.vec2) if rim is None else None
         operator = LinearOperator(n, lists.ee.rows, film.device, pair=geometry.weight)
-        self.solver = MultilevelGradient(
-            operator, film.total, RESTORE_TOLERANCE, film.numerics.max_iterations, levels_of(film, lists)
-        )
+        limits = [RESTORE_TOLERANCE, film.numerics.max_iterations]
+        self.solver = MultilevelGradient(operator, film.total, *limits, levels_of(film, lists), energy=True)
         self.psi = self.solver.x
 
     def gather(self) -> None:

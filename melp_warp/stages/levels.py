@@ -160,12 +160,11 @@ def make_solver(
     tolerance: float,
     max_iterations: int | None,
     x: wp.array | None = None,
-    guessed: bool = True,
 ) -> ConjugateGradient:
     """Conjugate gradients for a number an E, with coarser levels where the film is large enough for them to pay.
 
-    See `ConjugateGradient` and `MultilevelGradient` for the arguments; with `guessed` the owner fills the solver's x.
+    See `ConjugateGradient` for the arguments; both start from the solver's x and end at the same residual.
     """
     if film.features.coarse:
-        return MultilevelGradient(operator, film.total, tolerance, max_iterations, levels_of(film, lists), guessed, x)
+        return MultilevelGradient(operator, film.total, tolerance, max_iterations, levels_of(film, lists), x)
     return ConjugateGradient(operator, film.total, wp.float32, tolerance, max_iterations, x=x)

@@ -233,7 +233,6 @@ def test_iterations_do_not_grow_with_levels(most, coarse, device):
         assert residual < SHIFT_TOLERANCE
         taken.append(iterations)
     assert taken[1] <= 1.5 * taken[0]
-    assert taken[1] <= 6
 
 
 def test_levels_even_out_as_jacobi_does(monkeypatch, device):
