@@ -566,7 +566,7 @@ def book_forces_chunks(
     pressed: int,
     flowing: int,
     midway: int,
-    flat: int,
+    falls: int,
     dt: wp.array(dtype=float),
     first: wp.array(dtype=wp.int32),
     # outputs
@@ -614,7 +614,7 @@ def book_forces_chunks(
         pressed: 1 where the gas takes a part that no other formula has.
         flowing: 1 where liquid flows along the film.
         midway: 1 where L move with the velocity half a step on, whatever theta.
-        flat: 1 where `fall_chunks` follows.
+        falls: 1 where `fall_chunks` follows.
         dt: [1] s.
         first: see `part_range`.
         part: parts of the slots HOLD to SHIFTS, ENDED, IMPULSE and FALLING.
@@ -686,7 +686,7 @@ def book_forces_chunks(
                 against -= drag * area[i] * tangential(wind[g], n)
             slowed += wp.float64(wp.dot(against, path)) * h
             pushed += wp.float64(wp.dot(other, path)) * h
-            if flat == 1:
+            if falls == 1:
                 fallen += m * wp.float64(wp.dot(gravity, path)) * h
             outside -= against
             if traction:
@@ -737,13 +737,17 @@ def fall_chunks(
     normal: wp.array(dtype=wp.vec3),
     affine: wp.array(dtype=wp.mat33),
     gravity: wp.vec3,
+    start: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    share: float,
+    passed: wp.array(dtype=wp.vec3),
     bend: wp.array(dtype=float),
     dt: wp.array(dtype=float),
     n: int,
     # outputs
     part: wp.array2d(dtype=wp.float64),
 ):
-    """What L of a film at rest give up of their height, beyond the work of their weight on E. Slot FALLING.
+    """What L give up of their height on their way along the film, beyond the work of their weight on E. Slot FALLING.
 
     Args:
         mass: [n] kg.
@@ -751,6 +755,10 @@ def fall_chunks(
         normal: [n] unit normals.
         affine: [n] velocity gradient, 1/s.
         gravity: m/s^2.
+        start: [1] velocity of the film as a whole at the start of the step, m/s.
+        motion: [1] at its end, m/s.
+        share: of the way from the one to the other at which the film moves.
+        passed: [1] that at the time of v, m/s.
         bend: [1] of their paths.
         dt: [1] s.
         n: number of L.
@@ -759,10 +767,11 @@ def fall_chunks(
     c = wp.tid()
     size = (n + part.shape[0] - 1) // part.shape[0]
     h = dt[0]
+    whole = start[0] + share * (motion[0] - start[0])
     total = wp.float64(0.0)
     for i in range(c * size, wp.min(n, (c + 1) * size)):
-        path = bent_path(v[i], normal[i], affine[i], bend[0], h)
-        total += wp.float64(mass[i] * h * wp.dot(gravity, path))
+        path = bent_path(v[i] - passed[0], normal[i], affine[i], bend[0], h) + whole
+        total += wp.float64(mass[i] * h * wp.dot(gravity, tangential(path, normal[i])))
     part[c, FALLING] = part[c, FALLING] + total
 
 

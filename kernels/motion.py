@@ -169,6 +169,31 @@ def hold_motion_e(
 
 
 @wp.kernel
+def keep_speed_e(
+    before: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    # outputs
+    u: wp.array(dtype=wp.vec3),
+):
+    """Leave E the normal speed against the film as a whole that they had before their normals turned. [n_e], m/s.
+
+    Liquid that flows along the film at w would have the part w.dn of its velocity across it, and so would the air that
+    moves with the film: its waves would be carried along by a flow that it does not take part in, by an explicit
+    step, and grow by (k w dt)^2/2 in each.
+
+    Args:
+        before: [n] normals before, unit.
+        normal: [n] unit normals.
+        motion: [1] velocity of the film as a whole, m/s.
+        u: [n] m/s.
+    """
+    i = wp.tid()
+    n = normal[i]
+    u[i] = u[i] + wp.dot(u[i] - motion[0], before[i] - n) * n
+
+
+@wp.kernel
 def push_whole_e(
     normal: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),

@@ -297,6 +297,9 @@ class FoamMembrane:
         for array, new in zip((e.x, e.u, e.normal), found, strict=True):
             copy(array, new, count=film.n_e)
 
+    def keep_speed(self) -> None:
+        """After the move: E have what is left of their velocity along normals that have turned."""
+
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law."""
         close_volume(self.film, self.state)

@@ -301,6 +301,12 @@ class Membrane:
     def recall(self) -> None:
         """After the move: E are where they have moved to."""
 
+    def keep_speed(self) -> None:
+        """After the move, once normals are found anew: air does not take part in the flow along the film."""
+        if self.film.features.air_waves and self.film.features.lagrangian:
+            e = self.state.e
+            self.film.launch_e(ko.keep_speed_e, [self.state.memory.facing, e.normal, self.state.motion], [e.u])
+
     def close_volume(self) -> None:
         """After the move: offset E so that volume and pressure obey the gas law, if there is gas."""
         if self.film.features.closed:

@@ -60,7 +60,7 @@ class Budget:
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(AIR_TOLERANCE), film.parts(wp.float64)
         self._shape = self._make_air(SHAPE_TOLERANCE)
-        self._falls = f.lagrangian and not f.moving and any(film.surroundings.height)
+        self._falls = f.lagrangian and f.normal != "foam" and any(film.surroundings.height)
         self._mixed = film.parts(wp.float64) if f.mixes or f.exchanges else None
         self._rim = stepper.rim if f.collects else None
         if self._rim is not None:
@@ -120,7 +120,9 @@ class Budget:
         )
         if self._falls:
             lag = self.state.l
-            inputs = [lag.mass, lag.v, lag.normal, lag.affine, film.height, flow.bend, s.dt.array, film.n_l]
+            held = [lag.mass, lag.v, lag.normal, lag.affine, film.height]
+            whole = self._path() if f.moving else [s.frame, s.frame, 0.0]
+            inputs = [*held, *whole, s.passed, flow.bend, s.dt.array, film.n_l]
             film.launch_parts(kb.fall_chunks, inputs, [self.part])
         if self._mixed is not None:
             film.launch_parts(kb.book_mixed_chunks, [], [self._mixed, self.part])

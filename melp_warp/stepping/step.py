@@ -300,6 +300,7 @@ class FindGeometry(Stage):
         s = self.stepper
         s.lists.note_late(0)
         s.geometry.update()
+        s.membrane.keep_speed()
         if s.budget is not None:
             s.budget.book_stars()
         if s.air_range is not None:
