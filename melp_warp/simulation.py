@@ -331,6 +331,7 @@ class Simulation:
         if self.gone:
             return None
         film, e = self.film, self.state.e
+        self.stepper.fields.update()
         seen = film.parts(kd.vec6d)
         inputs = [e.x, e.mass, self.stepper.fields.eta, e.behind, self.state.gas, film.first]
         film.launch_parts(kd.look_chunks, inputs, [seen])
