@@ -296,3 +296,42 @@ def thickness_growth_e(
         near = wp.clamp(mismatch, -most, most)
         mended = rate[0] * (near - wp.clamp(near, -slack, slack)) + mismatch - near
     growth[i] = mended - widening[i]
+
+
+@wp.kernel
+def follow_surfactant_e(
+    claim: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    gamma: wp.array(dtype=float),
+    reference: float,
+    widening: wp.array(dtype=float),
+    swelling: wp.array(dtype=float),
+    theta: wp.array(dtype=float),
+    # outputs
+    growth: wp.array(dtype=float),
+):
+    """Relative growth of the thickness of the L around each E, such that their surfactant is as dense as E have it.
+
+    Liquid and surfactant of an L get thinner and thicker together: eta/Gamma stays along its path. What the solve makes
+    of Gamma is smooth. What E make of the film's widening has the noise of their sums in it, which elasticity sees as
+    film that is pressed together here and there: summed up, it is as large as the dye that a picture shows.
+
+    Args:
+        claim: [n_e] area that the L take up at their thickness, m^2.
+        surfactant: [n_e] mol.
+        gamma: [n_e] relative concentration after theta dt.
+        reference: Gamma_0, mol/m^2.
+        widening: [n_e] logarithm of an area after the step over that before; L without surfactant go by that.
+        swelling: [n_e] what normal motion of a curved film makes of it in a step, to the first order, of which the
+            share 1 - theta is still to come; null for a film that stays where it is.
+        theta: [1] share of the step.
+        growth: [n_e].
+    """
+    i = wp.tid()
+    if claim[i] > 0.0 and surfactant[i] > 0.0:
+        change = wp.log(reference * gamma[i] * claim[i] / surfactant[i])
+        if swelling:
+            change -= (1.0 - theta[0]) * swelling[i]
+        growth[i] = change
+    else:
+        growth[i] = -widening[i]

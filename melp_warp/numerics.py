@@ -104,7 +104,9 @@ class Numerics:
     gradient: str = quantity(word("Marangoni force of a single layer", GRADIENTS), "difference")
     border: float = quantity(Key("spacings", "gap within which films cling to each other", 0.5, 4.0), 1.0)
     exchange: float = quantity(at_least_zero("1/s", "rate at which liquid crosses between films that touch", 1e5), 0.0)
-    thickness_time: float = quantity(Key("s", "time in which L thickness relaxes to E thickness", 1e-6, 1e6), 0.1)
+    thickness_time: float = quantity(
+        Key("s", "time in which L thickness relaxes to E thickness, without surfactant", 1e-6, 1e6), 0.1
+    )
 
     @property
     def looks_back(self) -> bool:

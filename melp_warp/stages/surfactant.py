@@ -138,7 +138,8 @@ class Tangential:
         self.film, self.state, self.lists, self.forces = film, state, lists, forces
         self.geometry, self.fields, self.rim = geometry, fields, rim
         self.dilation, self.widening = film.zeros(film.n_e), film.zeros(film.n_e)
-        self.swelling = film.zeros(film.n_e) if film.features.budget else None
+        swells = film.features.budget or (film.features.marangoni and film.features.moving)
+        self.swelling = film.zeros(film.n_e) if swells else None
         self.path = film.zeros(film.total, wp.vec3)
         self.midpoint = film.numerics.flow == "midpoint"
         self._rate = fastest_rate(film)

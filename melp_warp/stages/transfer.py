@@ -145,19 +145,30 @@ class Transfer:
             [held],
         )
 
-    def e_to_l(self, widening: wp.array, before: wp.array | None, theta: wp.array) -> None:
+    def e_to_l(
+        self,
+        widening: wp.array,
+        before: wp.array | None,
+        theta: wp.array,
+        gamma: wp.array | None = None,
+        swelling: wp.array | None = None,
+    ) -> None:
         """Velocity, affine state and thickness of L from E, (16)-(18) and (8).
 
         Args:
             widening: [n_e] logarithm of an area after the step over that before.
             before: [n] velocity of E at the start of the step, m/s, that L look back at; None where they do not.
-            theta: [1] share of the step after which the velocity of E is.
+            theta: [1] share of the step after which the velocity of E, and gamma, are.
+            gamma: [n] relative concentration of surfactant, which thickness goes along with; None for a film without.
+            swelling: [n_e] what normal motion makes of the widening; None for a film that stays where it is.
         """
-        self.film.launch_e(
-            kt.thickness_growth_e,
-            [widening, self.claim, self.geometry.area, self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT],
-            [self.growth],
-        )
+        film, limits = self.film, [self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT]
+        if gamma is None:
+            inputs = [widening, self.claim, self.geometry.area, *limits]
+            film.launch_e(kt.thickness_growth_e, inputs, [self.growth])
+        else:
+            held = [self.claim, self.state.e.surfactant, gamma, film.material.surfactant]
+            film.launch_e(kt.follow_surfactant_e, [*held, widening, swelling, theta], [self.growth])
         self._gather_to_l(before, theta, self.film.numerics.kept)
 
     def start_l(self) -> None:

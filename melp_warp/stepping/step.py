@@ -232,7 +232,9 @@ class PassToL(Stage):
         s.forces.settle(flow.theta, dt)
         if s.circulation is not None:
             s.circulation.take(flow, dt)
-        s.transfer.e_to_l(flow.widening, flow.before, flow.theta)
+        features = self.film.features
+        packed = flow.gamma if features.marangoni else None
+        s.transfer.e_to_l(flow.widening, flow.before, flow.theta, packed, flow.swelling if features.moving else None)
         flow.finish()
         if s.edge is not None:
             s.edge.still()

@@ -170,6 +170,31 @@ def test_thickness_relaxes_to_that_of_e(device):
     assert np.abs(np.log(claim)).max() < 1.5 * THICKNESS_SLACK
 
 
+def test_thickness_goes_along_with_surfactant(device):
+    """eta_L = m Gamma/(rho c) to rounding, with Gamma what the solve makes and what the rest of the step adds.
+
+    Liquid and surfactant of each L are random, their ratio too; E widen by noise, which nothing is made of. Where there
+    is no surfactant that is all there is to go by.
+    """
+    film, s = make_stepper(SHAPES["sphere"], 600, device, l_per_e=16)
+    fill_l(s)
+    lag, m = s.state.l, film.material
+    held = f64(lag.mass) / f64(lag.surfactant) * m.surfactant / m.density
+    lag.eta.assign((1.3 * held).astype(np.float32))
+    s.transfer.gather()
+    noise = np.random.default_rng(1).normal(size=film.n_e).astype(np.float32)
+    widening = wp.array(noise, dtype=float, device=film.device)
+    gamma = wp.full(film.total, 0.9, dtype=float, device=film.device)
+    swelling = wp.full(film.n_e, 0.2, dtype=float, device=film.device)
+    theta = wp.full(1, 0.75, dtype=float, device=film.device)
+    s.transfer.e_to_l(widening, None, theta, gamma, swelling)
+    assert f64(lag.eta) / held == pytest.approx(0.9 * np.exp(-0.05), rel=1e-5)
+    lag.surfactant.zero_()
+    s.transfer.gather()
+    s.transfer.e_to_l(widening, None, theta, gamma, swelling)
+    assert np.array_equal(s.transfer.growth.numpy(), -noise)
+
+
 def to_l(film, s, dt, before=None, theta=1.0):
     """E to L without dilation; `before` the velocity of E at the start of the step."""
     before = None if before is None else wp.array(before, dtype=wp.vec3, device=film.device)
