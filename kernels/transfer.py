@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.native import Blocks, gather_blocks, mat68, moment_row, vec16, weigh_row, write_pack
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.sph import tangent_basis, tangential
+from melp_warp.kernels.sph import kernel_w, tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
 
@@ -300,10 +300,13 @@ def thickness_growth_e(
 
 @wp.kernel
 def follow_surfactant_e(
+    x: wp.array(dtype=wp.vec3),
     claim: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
     gamma: wp.array(dtype=float),
     reference: float,
+    rows: Neighbors,
+    r: float,
     widening: wp.array(dtype=float),
     swelling: wp.array(dtype=float),
     theta: wp.array(dtype=float),
@@ -316,20 +319,33 @@ def follow_surfactant_e(
     of Gamma is smooth. What E make of the film's widening has the noise of their sums in it, which elasticity sees as
     film that is pressed together here and there: summed up, it is as large as the dye that a picture shows.
 
+    The concentration is the mean of those around by W, as L see it: what single E say would be sharpened step by step.
+
     Args:
+        x: [n] m.
         claim: [n_e] area that the L take up at their thickness, m^2.
         surfactant: [n_e] mol.
-        gamma: [n_e] relative concentration after theta dt.
+        gamma: [n] relative concentration after theta dt.
         reference: Gamma_0, mol/m^2.
+        rows: E:E neighbours.
+        r: support radius, m.
         widening: [n_e] logarithm of an area after the step over that before; L without surfactant go by that.
         swelling: [n_e] what normal motion of a curved film makes of it in a step, to the first order, of which the
             share 1 - theta is still to come; null for a film that stays where it is.
         theta: [1] share of the step.
         growth: [n_e].
     """
-    i = wp.tid()
+    i = rows.first + wp.tid()
     if claim[i] > 0.0 and surfactant[i] > 0.0:
-        change = wp.log(reference * gamma[i] * claim[i] / surfactant[i])
+        weight = kernel_w(0.0, r)
+        total = weight * wp.log(gamma[i])
+        for k in range(rows.start[i], rows.stop[i]):
+            j = rows.index[k]
+            if j < claim.shape[0] and surfactant[j] > 0.0:
+                w = kernel_w(wp.length(x[j] - x[i]), r)
+                weight += w
+                total += w * wp.log(gamma[j])
+        change = total / weight - wp.log(surfactant[i] / (reference * claim[i]))
         if swelling:
             change -= (1.0 - theta[0]) * swelling[i]
         growth[i] = change

@@ -159,7 +159,8 @@ class Transfer:
             widening: [n_e] logarithm of an area after the step over that before.
             before: [n] velocity of E at the start of the step, m/s, that L look back at; None where they do not.
             theta: [1] share of the step after which the velocity of E, and gamma, are.
-            gamma: [n] relative concentration of surfactant, which thickness goes along with; None for a film without.
+            gamma: [n] relative concentration of surfactant, which thickness goes along with; None where it goes by the
+                widening: in a film without, and one that is torn.
             swelling: [n_e] what normal motion makes of the widening; None for a film that stays where it is.
         """
         film, limits = self.film, [self._rate.array, THICKNESS_SLACK, THICKNESS_LIMIT]
@@ -167,8 +168,9 @@ class Transfer:
             inputs = [widening, self.claim, self.geometry.area, *limits]
             film.launch_e(kt.thickness_growth_e, inputs, [self.growth])
         else:
-            held = [self.claim, self.state.e.surfactant, gamma, film.material.surfactant]
-            film.launch_e(kt.follow_surfactant_e, [*held, widening, swelling, theta], [self.growth])
+            e, rows = self.state.e, self.lists.ee.rows
+            held = [e.x, self.claim, e.surfactant, gamma, film.material.surfactant]
+            film.launch_e(kt.follow_surfactant_e, [*held, rows, film.r, widening, swelling, theta], [self.growth])
         self._gather_to_l(before, theta, self.film.numerics.kept)
 
     def start_l(self) -> None:

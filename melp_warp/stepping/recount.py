@@ -13,37 +13,78 @@ PARTS = 0.35
 PARTNERS = 1.6
 """Distance within which L are merged, in the root of their mean area."""
 
+AROUND = 6.0
+"""Distance within which L tell how what they hold changes from place to place, in that of a part from the whole."""
+
+MOST_UNEVEN = 0.5
+"""Most by which a part holds more than half of what an L has, relative."""
+
 MEANS = ("x", "u", "v", "affine", "normal")
 """What two L that merge have as a mean by mass."""
 
 
 def split_l(stored: Stored, chosen: np.ndarray, way: np.ndarray) -> None:
-    """Split L into two equal parts each. Liquid, momentum and all else that adds up are kept.
+    """Split L into two parts each, of half of its area. Liquid, momentum and all else that adds up are kept.
 
-    The parts lie on either side of where the L was and have the velocity that its affine part gives there: a flow that
-    is linear about it stays the same. The first keeps the L's number, the second gets a new one.
+    The parts lie on either side of where the L was. Each holds what the L around say of its place, by a plane through
+    what the L has: with equal parts a film of which every L is split would be thick and thin in steps. They have the
+    velocity that the affine part gives at their places: a flow that is linear about the L stays the same. The heavier
+    one is nearer to where the L was, so that the middle stays. The first keeps the L's number, the second gets a new
+    one.
 
     Args:
         stored: the state, changed in place; the parts of an L follow each other.
         chosen: [k] indices of the L.
-        way: [k, 3] from each to its first part, m.
+        way: [k, 3] from each to its first part, were it as heavy as the other, m.
     """
     arrays = stored.arrays
+    extra = _uneven(stored, chosen, way)
     count = np.ones(len(arrays["l.mass"]), dtype=int)
     count[chosen] = 2
     of = np.repeat(np.arange(len(count)), count)
     second = np.concatenate([[False], of[1:] == of[:-1]])
-    halved = count[of] == 2
-    shift = np.zeros((len(count), 3))
-    shift[chosen] = way
-    shift = shift[of] * np.where(second, -1.0, 1.0)[:, None]
+    halved, side = count[of] == 2, np.where(second, -1.0, 1.0)
+    share, packed, shift = np.zeros(len(count)), np.zeros(len(count)), np.zeros((len(count), 3))
+    share[chosen], shift[chosen] = extra["l.mass"] / arrays["l.mass"][chosen], way
+    packed[chosen] = extra["l.surfactant"] / np.maximum(arrays["l.surfactant"][chosen].astype(np.float64), 1e-300)
+    shift = shift[of] * (side - share[of])[:, None]
+    changes = {}
+    for name, more in extra.items():
+        changes[name] = np.zeros(len(count))
+        changes[name][chosen] = more
     stored.select("l", of)
     slope = np.einsum("nij,nj->ni", arrays["l.affine"].astype(np.float64), shift)
     for name, change in (("x", shift), ("u", slope), ("v", slope)):
         arrays[f"l.{name}"] = (arrays[f"l.{name}"] + change).astype(arrays[f"l.{name}"].dtype)
-    for name in _sums(stored):
-        arrays[name][halved] *= 0.5
+    thicker = (1.0 + side * share[of]) / (1.0 + side * packed[of])
+    arrays["l.eta"] = (arrays["l.eta"] * thicker).astype(arrays["l.eta"].dtype)
+    for name, change in changes.items():
+        arrays[name][halved] = 0.5 * (arrays[name] + side * change[of])[halved]
     stored.ids["l"][second] = stored.issue("l", len(chosen))
+
+
+def _uneven(stored: Stored, chosen: np.ndarray, way: np.ndarray) -> dict[str, np.ndarray]:
+    """What the first part of each L is to hold more than the second, of what adds up: name -> [k]."""
+    arrays, names, k = stored.arrays, _sums(stored), len(chosen)
+    x, region, mass = arrays["l.x"].astype(np.float64), stored.region("l"), arrays["l.mass"].astype(np.float64)
+    area = np.maximum(mass, 1e-300) / arrays["l.eta"]  # times density
+    layer = np.stack([arrays[name] / area for name in names], axis=1)
+    near = np.flatnonzero(stored.there() & (mass > 0.0) & np.isin(region, region[chosen]))
+    slot = np.full(len(x), -1)
+    slot[chosen] = np.arange(k)
+    matrix, right = np.zeros((k, 3, 3)), np.zeros((k, 3, len(names)))
+    for i, j in close_pairs(x[near], AROUND * float(np.linalg.norm(way, axis=1).mean())):
+        i, j = near[i], near[j]
+        own = (slot[i] >= 0) & (region[i] == region[j])
+        i, j = i[own], j[own]
+        to = x[j] - x[i]
+        np.add.at(matrix, slot[i], to[:, :, None] * to[:, None, :])
+        np.add.at(right, slot[i], to[:, :, None] * (layer[j] - layer[i])[:, None, :])
+    scale = np.trace(matrix, axis1=1, axis2=2)
+    matrix += (1e-6 * scale + 1e-30)[:, None, None] * np.eye(3)
+    more = area[chosen, None] * np.einsum("ka,kan->kn", way, np.linalg.solve(matrix, right))
+    held = np.stack([np.abs(arrays[name][chosen]) for name in names], axis=1)
+    return dict(zip(names, np.clip(more, -MOST_UNEVEN * held, MOST_UNEVEN * held).T, strict=True))
 
 
 def merge_l(stored: Stored, kept: np.ndarray, gone: np.ndarray) -> None:

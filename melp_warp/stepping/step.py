@@ -233,7 +233,7 @@ class PassToL(Stage):
         if s.circulation is not None:
             s.circulation.take(flow, dt)
         features = self.film.features
-        packed = flow.gamma if features.marangoni else None
+        packed = flow.gamma if features.marangoni and not features.tears else None
         s.transfer.e_to_l(flow.widening, flow.before, flow.theta, packed, flow.swelling if features.moving else None)
         flow.finish()
         if s.edge is not None:
