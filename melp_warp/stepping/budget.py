@@ -55,7 +55,7 @@ class Budget:
         self._bending, self._packed, self._swelling, self._ended = 4 * (None,)
         if f.normal == "membrane":
             self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
-            self._push, self._speed, self._blurred, self._sharp = (film.zeros(film.n_e) for _ in range(4))
+            self._pushed, self._push, self._moved, self._speed, self._sharp = (film.zeros(film.n_e) for _ in range(5))
             self._swelling = film.zeros(film.n_e) if f.lagrangian and f.marangoni else None
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(AIR_TOLERANCE), film.parts(wp.float64)
@@ -173,9 +173,9 @@ class Budget:
         membrane, geometry, response = s.membrane, s.geometry, s.membrane.response
         air = self._air_solver is not None
         moved = [membrane.u_mid, response.load.x, response.unit.x, self.state.gas, *self._path(), membrane.share]
-        film.launch_e(kb.pack_membrane_e, [e.normal, *moved], [self._speed, self._packed])
+        film.launch_e(kb.pack_membrane_e, [e.normal, *moved], [self._moved, self._packed])
         if air:
-            self._sharpen(self._speed, membrane.blur, self._speed)
+            self._sharpen(self._moved, membrane.blur, self._speed)
         film.launch_e(
             kb.lose_membrane_e,
             [
@@ -189,13 +189,12 @@ class Budget:
             [self._bending, self._swelling],
         )
 
-    def _sharpen(self, values: wp.array, blur: float, into: wp.array) -> None:
-        """Put (1 + blur lap_s)^-1 values, [n_e], into an array, up to the second power of blur lap_s."""
+    def _sharpen(self, blurred: wp.array, blur: float, into: wp.array) -> None:
+        """Put (1 + blur lap_s)^-1 of what is blurred, [n_e], into an array, up to the second power of blur lap_s."""
         film, geometry = self.film, self._stages.geometry
-        copy(self._blurred, values)
         inputs = [geometry.area, geometry.weight, self._stages.lists.ee.rows, film.n_e, blur]
-        for found, sharp in ((self._blurred, self._sharp), (self._sharp, into)):
-            film.launch_e(kb.sharpen_e, [self._blurred, found, *inputs], [sharp])
+        for found, sharp in ((blurred, self._sharp), (self._sharp, into)):
+            film.launch_e(kb.sharpen_e, [blurred, found, *inputs], [sharp])
 
     def look(self) -> None:
         """Find the forces of tension and gas across a film as it is, once its geometry is found."""
@@ -210,9 +209,9 @@ class Budget:
                 *(geometry.surface, geometry.area, amount),
                 *(film.material.tension, film.material.rt, self.state.gas, 8.0 * blur),
             ],
-            [self._push],
+            [self._pushed],
         )
-        self._sharpen(self._push, blur, self._push)
+        self._sharpen(self._pushed, blur, self._push)
 
     def book_range(self, after: bool) -> None:
         """Book what becomes of the energy of air beyond its range as E move: before they do, and `after`."""
