@@ -3,7 +3,15 @@
 import warp as wp
 
 from melp_warp.kernels.mls import fit_height
-from melp_warp.kernels.native import away_from_near, change_over_fit, gradient_row, solve_fit, vec5
+from melp_warp.kernels.native import (
+    away_from_near,
+    change_over_fit,
+    gradient_row,
+    solve_fit,
+    sum_vectors,
+    sum_within,
+    vec5,
+)
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, region_parts, region_total
 from melp_warp.kernels.sph import tangent_basis, tangential
@@ -138,30 +146,21 @@ def nearest_facing(
 
 
 @wp.kernel
-def shift_e(
+def ask_shift_e(
     pressure: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
     region: wp.array(dtype=wp.int32),
     spread: wp.array(dtype=wp.vec3),
-    u: wp.array(dtype=wp.vec3),
-    u_mid: wp.array(dtype=float),
     normal: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     gradient: wp.array(dtype=wp.vec3),
-    r: float,
     strength: float,
     spacing: float,
     limit: float,
     # outputs
-    x_new: wp.array(dtype=wp.vec3),
-    u_new: wp.array(dtype=wp.vec3),
-    u_mid_new: wp.array(dtype=float),
+    asked: wp.array(dtype=wp.vec3),
 ):
-    """Shift E by -strength grad_s C along the fitted surface; surface and velocities stay where they are in space.
-
-    Both are found at the new place by the same quadratic fit. A linear one, u + s.grad u, would make every wave
-    exp(ikx) larger by k^2 s^2/2; the fit's quadratic part takes that away, and a little of the shortest waves. The fit
-    is that of the E itself or, where it goes far, of the one that it comes nearest to.
+    """Shift -strength grad_s C that an E asks for, along its tangent plane.
 
     The smooth density of (9) hardly sees pairs, which form where a sheet is bent: E that are close are parted.
 
@@ -170,35 +169,103 @@ def shift_e(
         x: [n] m.
         region: [n] region of each E.
         spread: see `summarize_spread_r`.
+        normal: [n] unit normals.
+        rows: E:E neighbours.
+        gradient: [pairs] gradient weights, 1/m.
+        strength: beta at the threshold, 0 to 1: it grows with the square of the spread, up to 1.
+        spacing: of the E, m.
+        limit: largest shift, m.
+        asked: [n_e] m.
+    """
+    i = rows.first + wp.tid()
+    n = normal[i]
+    shift = wp.vec3()
+    asking = spread[region[i]][2]
+    if asking > 0.0:
+        beta = wp.min(strength * asking, 1.0)
+        shift = -beta * tangential(gradient_row(i, pressure, rows, gradient, pressure.shape[0]), n)
+        shift += beta * APART * tangential(away_from_near(i, x, normal, rows, CLOSE * spacing), n)
+    size = wp.length(shift)
+    if size > 0.0:
+        shift = shift * wp.min(limit / size, 1.0)
+    asked[i] = shift
+
+
+@wp.kernel
+def smooth_far_e(
+    asked: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    near: wp.array(dtype=float),
+    rows: Neighbors,
+    spacing: float,
+    # outputs
+    shift: wp.array(dtype=wp.vec3),
+):
+    """E that go far go as those around them do; others go as they ask.
+
+    Where E are sparse the gradient of C is the larger. With shifts of several spacings sparse places so run into the
+    dense ones ahead of them, and waves of a few spacings steepen until E are in no order.
+
+    Args:
+        asked: [n_e] m.
+        normal: [n] unit normals.
+        near: [pairs] W of each pair, 1/m^2.
+        rows: E:E neighbours.
+        spacing: of the E, m.
+        shift: [n_e] m.
+    """
+    i = rows.first + wp.tid()
+    own = asked[i]
+    if wp.length(own) > OWN_REACH * spacing:
+        total = sum_within(i, near, rows, asked.shape[0])
+        own = tangential(sum_vectors(i, near, asked, rows, asked.shape[0]), normal[i]) / wp.max(total, 1.0e-30)
+    shift[i] = own
+
+
+@wp.kernel
+def shift_e(
+    shifts: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+    normal: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    spacing: float,
+    # outputs
+    x_new: wp.array(dtype=wp.vec3),
+    u_new: wp.array(dtype=wp.vec3),
+    u_mid_new: wp.array(dtype=float),
+):
+    """Shift E along the fitted surface; surface and velocities stay where they are in space.
+
+    Both are found at the new place by the same quadratic fit. A linear one, u + s.grad u, would make every wave
+    exp(ikx) larger by k^2 s^2/2; the fit's quadratic part takes that away, and a little of the shortest waves. The fit
+    is that of the E itself or, where it goes far, of the one that it comes nearest to.
+
+    Args:
+        shifts: [n_e] m.
+        x: [n] m.
         u: [n] material velocity, m/s.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
         normal: [n] unit normals.
         rows: E:E neighbours.
-        gradient: [pairs] gradient weights, 1/m.
         r: support radius, m.
-        strength: beta at the threshold, 0 to 1: it grows with the square of the spread, up to 1.
         spacing: of the E, m.
-        limit: largest shift, m.
         x_new: [n_e] m.
         u_new: [n_e] velocity at the place moved to, m/s.
         u_mid_new: [n_e] normal speed there, m/s.
     """
     i = rows.first + wp.tid()
     n = normal[i]
-    shift = wp.vec3()
-    asked = spread[region[i]][2]
-    if asked > 0.0:
-        beta = wp.min(strength * asked, 1.0)
-        shift = -beta * tangential(gradient_row(i, pressure, rows, gradient, pressure.shape[0]), n)
-        shift += beta * APART * tangential(away_from_near(i, x, normal, rows, CLOSE * spacing), n)
+    shift = shifts[i]
     size = wp.length(shift)
     p = x[i]
     v = u[i]
     speed = u_mid[i]
     if size > 0.0:
-        shift = shift * wp.min(limit / size, 1.0)
         of = int(i)
-        if wp.min(size, limit) > OWN_REACH * spacing:
+        if size > OWN_REACH * spacing:
             of = nearest_facing(i, p + shift, x, normal, rows, u_mid.shape[0])
             n = normal[of]
             shift = tangential(p + shift - x[of], n)

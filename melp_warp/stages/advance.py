@@ -87,7 +87,8 @@ class Redistribution:
         self._part = film.parts(wp.vec4)
         # of many E the mean is rounded by as much as they depart from it
         self._loads = film.parts(wp.vec2) if film.features.coarse and not film.features.rim else None
-        self.shifted, self._u = (film.zeros(film.n_e, wp.vec3) for _ in range(2))
+        self.shifted, self._u, self._asked = (film.zeros(film.n_e, wp.vec3) for _ in range(3))
+        self._shift_by = film.zeros(film.n_e, wp.vec3) if film.features.coarse else self._asked
         self._u_mid = film.zeros(film.n_e)
         # the liquid of a film with L is theirs
         self._swept = None if film.features.lagrangian else [film.zeros(film.n_e, wp.vec2) for _ in range(2)]
@@ -114,12 +115,14 @@ class Redistribution:
             inputs = [geometry.density, e.region, self._loads, film.regions]
             film.launch_e(kr.balance_pressure_e, inputs, [self.solver.b])
         self.solver.solve()
+        pressure = [self.solver.x, e.x, e.region, self.spread, e.normal, rows, geometry.gradient]
+        film.launch_e(kr.ask_shift_e, [*pressure, strength, film.spacing, self._limit], [self._asked])
+        if self._shift_by is not self._asked:
+            inputs = [self._asked, e.normal, geometry.near, rows, film.spacing]
+            film.launch_e(kr.smooth_far_e, inputs, [self._shift_by])
         film.launch_e(
             kr.shift_e,
-            [
-                *(self.solver.x, e.x, e.region, self.spread, e.u, u_mid, e.normal, rows, geometry.gradient, film.r),
-                *(strength, film.spacing, self._limit),
-            ],
+            [self._shift_by, e.x, e.u, u_mid, e.normal, rows, film.r, film.spacing],
             [self.shifted, self._u, self._u_mid],
         )
         if self._swept is not None:
