@@ -46,13 +46,14 @@ def kept(r: dict) -> str:
 
 CASES = {
     "leapfrog": Case(
-        "leapfrog: in line, two cores until, energy at 8 s, peak at the start and at 5 s",
+        "leapfrog: in line, two cores until, energy at 8 s, peak at the start and at 5 s, places off to 4 s",
         "2.3, 4.26, 5.83, 6.98 s; 7.3 s; 1; 31.8 1/s",
         vv.leapfrog,
         [{"carrier": "apic"}, {"e_count": 4608}, {}, {"e_count": 18432, "l_per_e": 8}],
         lambda r: (
             ", ".join(f"{t:.2f}" for t in r["passes"])
-            + f" s; {r['apart_until']:.1f} s; {r['energy_kept']:.3f}; {r['peak_start']:.1f}, {r['peak_at_5']:.1f} 1/s"
+            + f" s; {r['apart_until']:.1f} s; {r['energy_kept']:.3f}; {r['peak_start']:.1f}, {r['peak_at_5']:.1f} 1/s;"
+            f" {r['places_off']:.2f} m"
         ),
     ),
     "pair": Case(
