@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from melp_warp.errors import InputError, require
-from melp_warp.stepping.ledger import KINDS, LOSS, RAISED, STORE, TERMS
+from melp_warp.stepping.ledger import KINDS, LOSS, RAISED, STORE, TERMS, Term
 
 
 def read_budget(folder: Path) -> list[dict]:
@@ -56,6 +56,11 @@ def print_grain(found: Sequence[tuple[int, float]]) -> None:
         print("grain: " + ", ".join(f"{100.0 * amount:.1f} % in frame {number}" for number, amount in found))
 
 
+def _amount(line: dict, term: Term, of: str = "") -> float:
+    """What a line of the log has of a term, J; 0 where the run was made before there was such a term."""
+    return line[of or term.kind].get(term.name, 0.0)
+
+
 def print_budget(lines: Sequence[dict]) -> None:
     """Print what each term stores more, did or took since the start; what makes energy is marked."""
     from rich.console import Console
@@ -68,7 +73,7 @@ def print_budget(lines: Sequence[dict]) -> None:
         table.add_column(column, justify="right" if column in ("J", "% of what moved") else "left")
     for kind in KINDS:
         for term in (t for t in TERMS if t.kind == kind):
-            change = last[kind][term.name] - (last["start"][term.name] if kind == STORE else 0.0)
+            change = _amount(last, term) - (_amount(last, term, "start") if kind == STORE else 0.0)
             if change:
                 mark = " makes energy" if kind == LOSS and change < -RAISED * moved else ""
                 table.add_row(kind, term.name, f"{change:.4g}", f"{100 * change / moved:.3f}", term.meaning + mark)
@@ -100,8 +105,8 @@ def draw_budget(lines: Sequence[dict], path: Path) -> Path:
     time = [line["time"] for line in lines]
     figure, axes = pyplot.subplots(figsize=(8, 5))
     for term in TERMS:
-        start = lines[0]["start"][term.name] if term.kind == STORE else 0.0
-        values = [(line[term.kind][term.name] - start) / moved for line in lines]
+        start = _amount(lines[0], term, "start") if term.kind == STORE else 0.0
+        values = [(_amount(line, term) - start) / moved for line in lines]
         if max(map(abs, values)) > RAISED:
             axes.plot(time, values, label=term.name, linestyle="-" if term.kind == STORE else "--")
     axes.plot(time, [line["rest"] / moved for line in lines], "k", linewidth=2, label="rest")
