@@ -270,6 +270,13 @@ def test_lines_of_pages_are_short():
     assert made.split() == long.split() and made.endswith(long[long.index("| cell") :])
 
 
+@pytest.mark.parametrize(("tool", "page"), [("limits", "limits"), ("validate", "validation"), ("tradeoff", "accuracy")])
+def test_a_tool_has_the_text_of_the_page_that_it_writes(tool, page):
+    """What is written into such a page by hand is in its tool as well, which would leave it out the next time."""
+    text = re.search(r'^NOTES = """\\\n(.*?)"""$', (ROOT / "tools" / f"{tool}.py").read_text(), re.M | re.S).group(1)
+    assert " ".join(text.split()) in " ".join((ROOT / "docs" / f"{page}.md").read_text().split())
+
+
 # --- run short -------------------------------------------------------------------------------------------------------
 
 
