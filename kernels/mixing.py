@@ -203,12 +203,12 @@ def find_exchange_l(
         pack: from `give_held_l`.
         held: [n_l] from `give_held_l`.
         spacing: d of L, m.
-        again: 1 to find it anew where some are `spent`, else to leave it.
-        spent: [1] see `spare_l`.
+        again: how many times it was found already: it is found anew where some were `spent` the last time.
+        spent: see `spare_l`.
         found: [n_l] what each gets: mass (kg), surfactant (mol) and the mass times the other's velocity (kg m/s).
     """
     i = wp.tid()
-    if again == 1 and spent[0] == 0:
+    if again > 0 and spent[again - 1] == 0:
         return
     mine = held[i]
     got = vec5()
@@ -250,6 +250,7 @@ def spare_l(
     mass: wp.array(dtype=float),
     amount: wp.array(dtype=float),
     found: wp.array(dtype=vec5),
+    turn: int,
     # outputs
     held: wp.array(dtype=wp.vec4),
     pack: wp.array(dtype=float),
@@ -257,43 +258,52 @@ def spare_l(
 ):
     """Let L that would give more than they have, in a crowd, not mix in this pass.
 
+    One that got from them may lack it then, so that this is done in turns.
+
     Args:
         place: [n_l] place of each L.
         mass: [n_l] kg.
         amount: [n_l] what is exchanged besides.
         found: [n_l] from `find_exchange_l`.
+        turn: which time this is, from 0.
         held: [n_l] from `give_held_l`.
         pack: the same by places.
-        spent: [1] whether there are any.
+        spent: [turns] whether there were any in each turn.
     """
     i = wp.tid()
+    if turn > 0 and spent[turn - 1] == 0:
+        return
     short = mass[i] + found[i][0] < LEFT * mass[i]
     short = short or (amount[i] > 0.0 and amount[i] + found[i][1] < LEFT * amount[i])
     if short:
         held[i] = wp.vec4(held[i][0], 0.0, held[i][2], held[i][3])
         write_rate(place[i], 0.0, pack)
-        spent[0] = 1
+        spent[turn] = 1
 
 
 @wp.kernel
 def mix_l(
     found: wp.array(dtype=vec5),
+    spent: wp.array(dtype=wp.int32),
     # outputs
     u: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=float),
     surfactant: wp.array(dtype=float),
     eta: wp.array(dtype=float),
 ):
-    """Give L what they get; their areas stay.
+    """Give L what they get; their areas stay. Nothing where some would have spent more than they have in every turn.
 
     Args:
         found: [n_l] from `find_exchange_l`.
+        spent: [turns] see `spare_l`.
         u: [n_l] m/s.
         mass: [n_l] kg.
         surfactant: [n_l] mol.
         eta: [n_l] m.
     """
     i = wp.tid()
+    if spent[spent.shape[0] - 1] == 1:
+        return
     got = found[i]
     whole = mass[i] + got[0]
     if wp.dot(got, got) > 0.0:

@@ -22,6 +22,9 @@ WAY = 1.0
 SMOOTHINGS = 3
 """Times that the velocity gradient is made smooth beside a rim: what uneven L make of it there is then a fifteenth."""
 
+TURNS = 3
+"""Times that L which would give more than they have are left out of a pass. Where that is not enough none mix."""
+
 
 class Mixing:
     """Exchange of liquid between near L, D = C d^2 |S|. Made only where a scene asks for it (`mixing`).
@@ -41,7 +44,7 @@ class Mixing:
         self.film, self.state, self.lists, self.geometry, self.carriage = film, state, lists, geometry, carriage
         self.due, self._time = False, Setting(film.device)
         self._pack, self._held = film.zeros(80 * math.ceil(film.n_l / 8)), film.zeros(film.n_l, wp.vec4)
-        self._found, self._spent = film.zeros(film.n_l, vec5), film.zeros(1, wp.int32)
+        self._found, self._spent = film.zeros(film.n_l, vec5), film.zeros(TURNS + 1, wp.int32)
         self._area = film.zeros(film.n_l) if film.material.surfactant > 0.0 else None
         self._shear = film.zeros(film.n_e)
         self._slopes = [film.zeros(film.n_e, wp.mat33) for _ in range(2)]
@@ -97,13 +100,18 @@ class Mixing:
         u, mass, *rest = held
         clear(self._spent)
         self._find(again=0)
-        inputs = [lists.el.place, mass, amount, self._found]
-        film.launch_l(kx.spare_l, inputs, [self._held, Shared(self._pack), Shared(self._spent)])
-        self._find(again=1)
-        film.launch_l(kx.mix_l, [self._found], [u, mass, *rest])
+        inputs, spared = (
+            [lists.el.place, mass, amount, self._found],
+            [self._held, Shared(self._pack), Shared(self._spent)],
+        )
+        for turn in range(TURNS):
+            film.launch_l(kx.spare_l, [*inputs, turn], spared)
+            self._find(again=turn + 1)
+        film.launch_l(kx.spare_l, [*inputs, TURNS], spared)
+        film.launch_l(kx.mix_l, [self._found, Shared(self._spent)], [u, mass, *rest])
 
     def _find(self, again: int) -> None:
-        """Find what L exchange; `again` where some of them would give more than they have."""
+        """Find what L exchange, the first time or `again` where some of them would give more than they have."""
         lists = self.lists
         self.film.launch_l(
             kx.find_exchange_l,

@@ -13,6 +13,7 @@ from melp_warp.registry import load_scene
 from melp_warp.scene import Scene
 from melp_warp.shapes import Disc, Rectangle, Sphere
 from melp_warp.simulation import Simulation
+from melp_warp.study.validation import small_giant
 
 WIDTH = 0.1
 
@@ -176,3 +177,17 @@ def test_no_declared_amount_falls_below_zero():
         simulation.advance_frame()
         assert f64(held).min() >= 0.0
     assert f64(held).sum() == pytest.approx(total, rel=1e-5)
+
+
+def test_a_violent_flow_leaves_no_l_without_liquid():
+    """Whirls of 10 m/s crowd L: those that would give more than they have do not mix, nor those that lack theirs then.
+
+    With one turn of that an L ended with less than none, and the energy budget with no number.
+    """
+    simulation = Simulation(small_giant(600, 4, swirl=10.0))
+    start = simulation.diagnostics()["mass"]
+    for _ in range(2):
+        simulation.advance_frame()
+        assert simulation.state.l.mass.numpy().min() > 0.0
+    assert np.isfinite(simulation.state.memory.book.numpy()).all()
+    assert simulation.diagnostics()["mass"] == pytest.approx(start, rel=1e-6)
