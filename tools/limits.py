@@ -63,8 +63,8 @@ NOTES = """\
 
 ## What falls short
 
-* **`giant_bubble` at 163,842 E** keeps its E even (spread 0.29) and its solves within their tolerance, but from frame
-  6 on a spot of the film thickens where liquid runs fastest, to 1,157 nm in frame 9 (docs/scaling.md).
+* **`giant_bubble` at 163,842 E** keeps its E even (spread 0.29) and its solves within their tolerance for 35 frames,
+  then an L was not finite; not run again since L that mix keep what they need (docs/scaling.md).
 * **Squashed and needle** without air ring so violently that frame-sized steps do not follow them, and the needle's tip,
   of 1.5 spacings, is not resolved. Use `air=added_mass`, `dt=auto` and E enough.
 * **Hovering at 100 g and whirls of 100 m/s** tear a film that tension cannot hold (m v^2/R is 14 times 4 sigma/R); the
