@@ -135,12 +135,18 @@ class Run:
                 check_sound(self.simulation)
 
     def conserved(self) -> list[Error]:
-        """Mass and surfactant as at the start, with what popped or a rim collected; the gas obeys its law."""
+        """Mass and surfactant as at the start, with what popped or a rim collected; the gas obeys its law.
+
+        Of a film that burst the liquid is counted alone: free rims, drops and a frame hold it, the gas has left.
+        """
         simulation = self.simulation
         now = simulation.diagnostics()
         kept = {name: now[name] + now.get(f"border_{name}", 0.0) for name in ("mass", "surfactant")}
+        torn = sum(now.get(name, 0.0) for name in ("rim_mass", "drop_mass", "frame_mass"))
         wanted = self.first["mass"] - simulation.spilled
-        errors = [Error("mass", abs(kept["mass"] / wanted - 1.0), CONSERVED)]
+        errors = [Error("mass", abs((kept["mass"] + torn) / wanted - 1.0), CONSERVED)]
+        if torn > 0.0:
+            return errors
         if self.first["surfactant"] > 0.0 and simulation.spilled == 0.0:
             errors.append(Error("surfactant", abs(kept["surfactant"] / self.first["surfactant"] - 1.0), CONSERVED))
         if simulation.film.features.closed:
