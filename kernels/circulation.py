@@ -4,7 +4,7 @@ import warp as wp
 
 from melp_warp.kernels.native import Blocks, gather_amount, sum_shares
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range, region_parts
+from melp_warp.kernels.regions import balanced_load
 from melp_warp.kernels.sph import kernel_w, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -133,23 +133,6 @@ def find_deficit_e(
 
 
 @wp.kernel
-def mean_deficit_chunks(
-    deficit: wp.array(dtype=float),
-    area: wp.array(dtype=float),
-    first: wp.array(dtype=wp.int32),
-    # outputs
-    part: wp.array(dtype=wp.vec2),
-):
-    """Parts of (sum of the deficits, sum of the areas) of each region."""
-    c = wp.tid()
-    start, stop = part_range(c, first, part.shape[0])
-    total = wp.vec2()
-    for i in range(start, stop):
-        total += wp.vec2(deficit[i], area[i])
-    part[c] = total
-
-
-@wp.kernel
 def load_stream_e(
     deficit: wp.array(dtype=float),
     area: wp.array(dtype=float),
@@ -166,7 +149,7 @@ def load_stream_e(
         deficit: [n_e] m^2/s.
         area: [n_e] m^2.
         region: [n] region of each E.
-        part: from `mean_deficit_chunks`; null for a film with a frame, where psi is 0 at the rim.
+        part: from `regions.load_chunks`; null for a film with a frame, where psi is 0 at the rim.
         regions: number of regions.
         b: [n_e] m^2/s.
         start: [n] first guess, 0.
@@ -174,11 +157,7 @@ def load_stream_e(
     i = wp.tid()
     lacking = deficit[i]
     if part:
-        begin, end = region_parts(region[i], part.shape[0], regions)
-        total = wp.vec2()
-        for c in range(begin, end):
-            total += part[c]
-        lacking -= area[i] * total[0] / total[1]
+        lacking = balanced_load(lacking, area[i], part, region[i], regions)
     b[i] = -lacking
     start[i] = 0.0
 

@@ -13,7 +13,7 @@ from melp_warp.kernels.native import (
     vec5,
 )
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import part_range, region_parts, region_total
+from melp_warp.kernels.regions import balanced_load, part_range, region_parts
 from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -87,25 +87,8 @@ def load_pressure_e(
 
 
 @wp.kernel
-def load_chunks(
-    b: wp.array(dtype=float),
-    density: wp.array(dtype=float),
-    first: wp.array(dtype=wp.int32),
-    # outputs
-    part: wp.array(dtype=wp.vec2),
-):
-    """Parts of (sum b, sum 1/delta)."""
-    c = wp.tid()
-    start, stop = part_range(c, first, part.shape[0])
-    total = wp.vec2()
-    for i in range(start, stop):
-        total += wp.vec2(b[i], 1.0 / density[i])
-    part[c] = total
-
-
-@wp.kernel
 def balance_pressure_e(
-    density: wp.array(dtype=float),
+    area: wp.array(dtype=float),
     region: wp.array(dtype=wp.int32),
     part: wp.array(dtype=wp.vec2),
     regions: int,
@@ -115,19 +98,18 @@ def balance_pressure_e(
     """Take from the load of (20) what it sums up to over a closed film: rounding of the mean, and no C belongs to it.
 
     Args:
-        density: [n_e] 1/m^2.
+        area: [n_e] m^2.
         region: [n_e].
-        part: from `load_chunks`.
+        part: from `regions.load_chunks`.
         regions: number of regions.
         b: [n_e].
     """
     i = wp.tid()
-    total = region_total(part, region[i], regions)
-    b[i] = b[i] - total[0] / total[1] / density[i]
+    b[i] = balanced_load(b[i], area[i], part, region[i], regions)
 
 
 @wp.func
-def nearest_facing(
+def nearest_on_sheet(
     i: int, p: wp.vec3, x: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), rows: Neighbors, limit: int
 ) -> int:
     """The E, below index `limit`, nearest to p on the same sheet: from i over ever nearer neighbours."""
@@ -266,7 +248,7 @@ def shift_e(
     if size > 0.0:
         of = int(i)
         if size > OWN_REACH * spacing:
-            of = nearest_facing(i, p + shift, x, normal, rows, u_mid.shape[0])
+            of = nearest_on_sheet(i, p + shift, x, normal, rows, u_mid.shape[0])
             n = normal[of]
             shift = tangential(p + shift - x[of], n)
             p = x[of]

@@ -43,6 +43,30 @@ def region_total(part: wp.array(dtype=Any), g: int, regions: int):
 
 
 @wp.kernel
+def load_chunks(
+    load: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    part: wp.array(dtype=wp.vec2),
+):
+    """Parts of (sum of a load, sum of the areas) of each region."""
+    c = wp.tid()
+    start, stop = part_range(c, first, part.shape[0])
+    total = wp.vec2()
+    for i in range(start, stop):
+        total += wp.vec2(load[i], area[i])
+    part[c] = total
+
+
+@wp.func
+def balanced_load(load: float, area: float, part: wp.array(dtype=wp.vec2), g: int, regions: int) -> float:
+    """Load of an E less its share, by area, of the sum of its region: to that no solution belongs on a closed film."""
+    total = region_total(part, g, regions)
+    return load - area * total[0] / total[1]
+
+
+@wp.kernel
 def near_chunks(
     region: wp.array(dtype=wp.int32),
     facing: Neighbors,

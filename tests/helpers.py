@@ -104,3 +104,15 @@ def near(x: np.ndarray, source: np.ndarray, radius: float, same: bool = False) -
             inside[i] = False
         found.append(np.flatnonzero(inside))
     return found
+
+
+def dense_laplacian(stepper) -> np.ndarray:
+    """[n_e, n_e] a^-1/2 W a^-1/2 in float64 of a closed film, W the pairs of the surface Laplacian, a the areas."""
+    area = stepper.geometry.area.numpy().astype(np.float64)
+    i, k, j = pairs_of(stepper.lists.ee.rows)
+    weight = stepper.geometry.weight.numpy()[k].astype(np.float64)
+    d = np.zeros((len(area), len(area)))
+    d[i, j] -= weight
+    np.add.at(d, (i, i), weight)
+    root = np.sqrt(area)
+    return d / np.outer(root, root)

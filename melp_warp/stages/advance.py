@@ -11,6 +11,7 @@ from melp_warp.device.linear import LinearOperator
 from melp_warp.features import Features
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import redistribute as kr
+from melp_warp.kernels import regions as kg
 from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.levels import make_solver, solver_kernels
@@ -46,7 +47,7 @@ class EulerianAdvance:
     @staticmethod
     def kernels(features: Features) -> tuple[str, ...]:
         """Files of kernels."""
-        return "advance", "redistribute", *solver_kernels(features)
+        return "advance", "redistribute", *(("regions",) if features.coarse else ()), *solver_kernels(features)
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry):
         self.film, self.state, self.lists, self.geometry = film, state, lists, geometry
@@ -111,8 +112,8 @@ class Redistribution:
         film.launch_regions(kr.summarize_spread_r, [self._part, threshold], [self.spread])
         film.launch_e(kr.load_pressure_e, [geometry.density, e.region, self.spread], [self.solver.b, self.solver.x])
         if self._loads is not None:
-            film.launch_parts(kr.load_chunks, [self.solver.b, geometry.density, film.first], [self._loads])
-            inputs = [geometry.density, e.region, self._loads, film.regions]
+            film.launch_parts(kg.load_chunks, [self.solver.b, geometry.area, film.first], [self._loads])
+            inputs = [geometry.area, e.region, self._loads, film.regions]
             film.launch_e(kr.balance_pressure_e, inputs, [self.solver.b])
         self.solver.solve()
         pressure = [self.solver.x, e.x, e.region, self.spread, e.normal, rows, geometry.gradient]

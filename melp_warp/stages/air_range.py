@@ -17,7 +17,7 @@ from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.neighbors import NeighborLists
 from melp_warp.stages.notices import Notices
-from melp_warp.stages.responses import AirResponse, make_rational, rational_kernels
+from melp_warp.stages.responses import AirResponse, rational_kernels
 from melp_warp.stages.state import State
 
 SLOPE = 0.25
@@ -44,8 +44,7 @@ class AirRange:
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, response: AirResponse):
         self.film, self.state, self.geometry = film, state, geometry
-        self.solver = make_rational(film, lists, geometry, TOLERANCE)
-        self.solver.set_function(*(p.astype(complex) for p in response.poles), response.low)
+        self.solver = response.make_momentum(lists, TOLERANCE, film.numerics.max_iterations)
         self.found = film.zeros(5, wp.float64)
         self._centre = film.zeros(1, wp.vec3)
         self._middle, self._slopes, self._energy = film.parts(ka.vec4d), film.parts(wp.vec2d), film.parts(wp.float64)

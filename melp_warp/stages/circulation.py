@@ -9,6 +9,7 @@ from melp_warp.device.launch import launch
 from melp_warp.device.linear import LinearOperator
 from melp_warp.device.multilevel import MultilevelGradient
 from melp_warp.kernels import circulation as kc
+from melp_warp.kernels import regions as kr
 from melp_warp.stages.film import Film
 from melp_warp.stages.geometry import Geometry
 from melp_warp.stages.levels import levels_of
@@ -41,7 +42,7 @@ class Circulation:
     """
 
     needs = ("lists", "geometry", "transfer", "rim")
-    kernels = ("circulation", "levels", "linear")
+    kernels = ("circulation", "levels", "linear", "regions")
 
     def __init__(
         self,
@@ -86,7 +87,7 @@ class Circulation:
             [self._deficit],
         )
         if self._mean is not None:
-            film.launch_parts(kc.mean_deficit_chunks, [self._deficit, geometry.area, film.first], [self._mean])
+            film.launch_parts(kr.load_chunks, [self._deficit, geometry.area, film.first], [self._mean])
         film.launch_e(
             kc.load_stream_e,
             [self._deficit, geometry.area, e.region, self._mean, film.regions],

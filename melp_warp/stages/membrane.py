@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.device.launch import copy, launch
-from melp_warp.device.linear import ConjugateGradient, RationalLaplacian
+from melp_warp.device.linear import Solver
 from melp_warp.device.scalars import Setting
 from melp_warp.features import Features
 from melp_warp.kernels import drag as kd
@@ -140,7 +140,7 @@ class Membrane:
         )
 
     @property
-    def solvers(self) -> tuple[ConjugateGradient | RationalLaplacian, ...]:
+    def solvers(self) -> tuple[Solver, ...]:
         """What the normal motion is solved with."""
         return self.response.solvers
 

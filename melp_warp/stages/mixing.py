@@ -100,10 +100,8 @@ class Mixing:
         u, mass, *rest = held
         clear(self._spent)
         self._find(again=0)
-        inputs, spared = (
-            [lists.el.place, mass, amount, self._found],
-            [self._held, Shared(self._pack), Shared(self._spent)],
-        )
+        inputs = [lists.el.place, mass, amount, self._found]
+        spared = [self._held, Shared(self._pack), Shared(self._spent)]
         for turn in range(TURNS):
             film.launch_l(kx.spare_l, [*inputs, turn], spared)
             self._find(again=turn + 1)

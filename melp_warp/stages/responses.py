@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.device.launch import clear, copy
-from melp_warp.device.linear import LinearOperator, RationalLaplacian
+from melp_warp.device.linear import LinearOperator, RationalLaplacian, Solver
 from melp_warp.device.multilevel import MultilevelRational
 from melp_warp.device.scalars import Setting
 from melp_warp.features import Features
@@ -100,11 +100,11 @@ def rational_kernels(features: Features) -> tuple[str, ...]:
 
 
 def make_rational(
-    film: Film, lists: NeighborLists, geometry: Geometry, tolerance: float
+    film: Film, lists: NeighborLists, geometry: Geometry, tolerance: float, most: int | None
 ) -> RationalLaplacian | MultilevelRational:
-    """A solver for functions of the surface Laplacian of a film."""
+    """A solver for functions of the surface Laplacian of a film, with at most so many iterations; None for enough."""
     arrays = [geometry.weight, geometry.area, lists.ee.rows]
-    last = [tolerance, film.numerics.max_iterations, film.device]
+    last = [tolerance, most, film.device]
     if film.features.coarse:
         return MultilevelRational(film.n_e, film.total, *arrays, *last, levels_of(film, lists))
     return RationalLaplacian(film.n_e, film.total, *arrays, *last)
@@ -126,7 +126,7 @@ class AirResponse:
 
     def __init__(self, film: Film, state: State, lists: NeighborLists, geometry: Geometry, forces: Forces):
         self.film, self.geometry, self.state, self.inertia = film, geometry, state, forces.inertia
-        self.solver = make_rational(film, lists, geometry, film.numerics.tolerance)
+        self.solver = make_rational(film, lists, geometry, film.numerics.tolerance, film.numerics.max_iterations)
         self.solvers = (self.solver,)
         self.load, self.unit = _Pair(film), _Pair(film)
         self.diag = film.zeros(film.n_e)
@@ -178,6 +178,12 @@ class AirResponse:
             )
             (self.solver.improve if sweep else self.solver.solve)()
             copy(pair.x, self.solver.x)
+
+    def make_momentum(self, lists: NeighborLists, tolerance: float, most: int | None) -> Solver:
+        """A solver for the momentum A(-lap_s) v of the air around a film that moves at v."""
+        solver = make_rational(self.film, lists, self.geometry, tolerance, most)
+        solver.set_function(*(p.astype(complex) for p in self.poles), self.low)
+        return solver
 
     def report(self) -> tuple[int, float]:
         """Iterations and residual of the last load solve."""

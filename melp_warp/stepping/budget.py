@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from melp_warp.device.launch import clear, copy, launch
-from melp_warp.device.linear import RationalLaplacian
+from melp_warp.device.linear import Solver
 from melp_warp.kernels import budget as kb
 from melp_warp.kernels.boundary import vec7d
 from melp_warp.stages.air_range import SLOPE
@@ -226,11 +226,11 @@ class Budget:
             self._find_air(0, None if beyond is None else beyond.found, self._shape)
             self._book_air(self._shape, None, after, kb.SHAPING)
 
-    def _book_air(self, solver: RationalLaplacian, found: wp.array | None, after: bool, slot: int) -> None:
+    def _book_air(self, solver: Solver, found: wp.array | None, after: bool, slot: int) -> None:
         inputs = [solver.b, solver.x, self._stages.geometry.area, found, self.film.n_e, int(after), slot]
         self.film.launch_parts(kb.book_air_chunks, inputs, [self.part])
 
-    def _find_air(self, kept: int, found: wp.array | None, solver: RationalLaplacian) -> None:
+    def _find_air(self, kept: int, found: wp.array | None, solver: Solver) -> None:
         """Find the momentum of the air; none beyond its range where it is `found` to be."""
         e = self.state.e
         inputs = [e.u, e.normal, self.state.motion, kept, found, wp.float64(SLOPE)]
@@ -291,16 +291,12 @@ class Budget:
             self._rim.taken(self._taken)
             copy(self._border, state.border)
 
-    def _make_air(self, tolerance: float) -> RationalLaplacian | None:
+    def _make_air(self, tolerance: float) -> Solver | None:
         """What finds the momentum of the air around a single film; None where a film has none."""
-        film, s = self.film, self._stages
-        if not film.features.air_waves:
+        s = self._stages
+        if not self.film.features.air_waves:
             return None
-        arrays = [s.geometry.weight, s.geometry.area, s.lists.ee.rows]
-        solver = RationalLaplacian(film.n_e, film.total, *arrays, tolerance, None, film.device)
-        response = s.membrane.response
-        solver.set_function(*(p.astype(complex) for p in response.poles), response.low)
-        return solver
+        return s.membrane.response.make_momentum(s.lists, tolerance, None)
 
     def _weigh_air(self) -> None:
         film, e, solver, motion = self.film, self.state.e, self._air_solver, self.state.motion

@@ -13,7 +13,7 @@ from melp_warp.shapes import Jittered, Sphere
 from melp_warp.stages import air
 from melp_warp.stages.levels import APART, COARSER, Levels, levels_of
 from melp_warp.stages.neighbors import NeighborList
-from tests.helpers import make_stepper, pairs_of
+from tests.helpers import dense_laplacian, make_stepper, pairs_of
 
 SUPPORT = 3.0
 
@@ -222,12 +222,7 @@ def test_poles_are_those_of_the_function(dt, device):
     _, s = make_stepper(Jittered(Sphere(0.1)), 400, device)
     poles, residues, low = response(s.film, s.geometry, dt)
     area = s.geometry.area.numpy().astype(np.float64)
-    i, k, j = pairs_of(s.lists.ee.rows)
-    w = s.geometry.weight.numpy()[k].astype(np.float64)
-    d = np.zeros((len(area), len(area)))
-    d[i, j] -= w
-    np.add.at(d, (i, i), w)
-    values, vectors = np.linalg.eigh(d / np.sqrt(np.outer(area, area)))
+    values, vectors = np.linalg.eigh(dense_laplacian(s))
     f = np.sum(residues / (values[:, None] + poles), axis=1).real
     solver = solvers_of(s, 1e-4, device)[1]
     solver.set_function(poles, residues, low)

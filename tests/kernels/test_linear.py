@@ -8,7 +8,7 @@ from melp_warp.device.linear import ConjugateGradient, LinearOperator, RationalL
 from melp_warp.kernels import linear as kl
 from melp_warp.shapes import Disc, Sphere
 from melp_warp.stages import air
-from tests.helpers import make_rows, make_stepper, near, pairs_of
+from tests.helpers import dense_laplacian, make_rows, make_stepper, near, pairs_of
 
 N = 300
 BEYOND = 20
@@ -241,14 +241,7 @@ def test_same_bits_twice(device):
 def sphere_laplacian(device):
     """A film's surface Laplacian on the unit sphere: stepper, areas, and D = -a^-1/2 (a_i a_j K_ij) a^-1/2 dense."""
     _, s = make_stepper(Sphere(1.0), N, device)
-    area = s.geometry.area.numpy().astype(np.float64)
-    i, k, j = pairs_of(s.lists.ee.rows)
-    w = s.geometry.weight.numpy()[k].astype(np.float64)
-    d = np.zeros((len(area), len(area)))
-    d[i, j] -= w
-    np.add.at(d, (i, i), w)
-    root = np.sqrt(area)
-    return s, area, d / np.outer(root, root)
+    return s, s.geometry.area.numpy().astype(np.float64), dense_laplacian(s)
 
 
 def apply_function(d, area, f, b):
