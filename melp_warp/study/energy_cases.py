@@ -59,7 +59,7 @@ class Found:
 
 
 CASES = (
-    EnergyCase("oscillating_bubble", 300, {"e_count": 1000}, 0.015),
+    EnergyCase("oscillating_bubble", 300, {"e_count": 1000}, 0.01),
     EnergyCase("oscillating_bubble", 300, {"e_count": 1000, "air": "added_mass"}, 0.015),
     EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4}, 0.01),
     EnergyCase("giant_bubble", 120, {"e_count": 1000, "l_per_e": 4, "air": "none"}, 0.01),
