@@ -8,7 +8,7 @@ import warp as wp
 
 from melp_warp.kernels.advance import bent_path
 from melp_warp.kernels.air_range import AFTER, BEFORE, SLOPE
-from melp_warp.kernels.gas import AMOUNT, AREA, GAUGE, INCREMENT, OFFSET, VOLUME
+from melp_warp.kernels.gas import AMOUNT, GAUGE, INCREMENT, OFFSET, VOLUME
 from melp_warp.kernels.mls import Quadric
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, part_region, region_parts
@@ -75,11 +75,24 @@ def begins_region(c: int, parts: int, regions: int) -> bool:
 
 
 @wp.func
-def carried_air(gas: wp.array2d(dtype=wp.float64), g: int, density: float, added: wp.array(dtype=float)) -> float:
-    """Air that a bubble of a foam carries as a whole, beyond what its films take along; 3/2 rho V - A/3 a. kg."""
-    if density == 0.0:
-        return 0.0
-    return 1.5 * density * float(gas[g, VOLUME]) - added[g] * float(gas[g, AREA]) / 3.0
+def carried(mass: float, air: float, n: wp.vec3, a: wp.vec3, b: wp.vec3, kept: int) -> float:
+    """What an E adds to a.C b: the inertia C of a bubble as a whole beyond the normal motion of its E. kg m^2/s^2.
+
+    All liquid and air are to move with the bubble. Normal motion has the part m + air of an E along its normal; the air
+    is counted by volume, see `carried_air`, so here it is taken off. Liquid along the film is carried where E do not
+    know how it flows.
+    """
+    across = wp.dot(a, n) * wp.dot(b, n)
+    found = -air * across
+    if kept == 1:
+        found += mass * (wp.dot(a, b) - across)
+    return found
+
+
+@wp.func
+def carried_air(gas: wp.array2d(dtype=wp.float64), g: int, density: float, a: wp.vec3, b: wp.vec3) -> wp.float64:
+    """a.C b of all air that goes along with a bubble, 3/2 rho V, kg m^2/s^2; 0 for a single film, of density 0 here."""
+    return wp.float64(1.5 * density) * gas[g, VOLUME] * wp.float64(wp.dot(a, b))
 
 
 @wp.func
@@ -202,13 +215,14 @@ def open_step_chunks(
                     solved += wp.float64(sides) * entropy
             surface += wp.float64(sides) * free
             bent += wp.float64(sides * sigma * kappa[i]) * a
-    part[c, STARTED] = liquid + air
-    whole = wp.float64(wp.length_sq(motion[g])) * wp.float64(0.5)
-    if kept == 1:
+    whole = motion[g]
+    if density > 0.0 or kept == 1:
         for i in range(start, stop):
-            liquid += wp.float64(2.0 / 3.0 * mass[i]) * whole
+            liquid += wp.float64(0.5 * carried(mass[i], 0.0, normal[i], whole, whole, kept))
+            air += wp.float64(0.5 * carried(0.0, taken * area[i], normal[i], whole, whole, kept))
     if begins_region(c, parts, first.shape[0] - 1):
-        air += wp.float64(carried_air(gas, g, density, added)) * whole
+        air += wp.float64(0.5) * carried_air(gas, g, density, whole, whole)
+    part[c, STARTED] = liquid + air
     part[c, KINETIC] = liquid
     part[c, AIR] = air
     part[c, SURFACE] = surface
@@ -558,8 +572,6 @@ def book_forces_chunks(
     gravity: wp.vec3,
     drag: float,
     wind: wp.array(dtype=wp.vec3),
-    damping: float,
-    drift: wp.array(dtype=wp.vec3),
     theta: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
     p_atm: wp.float64,
@@ -606,8 +618,6 @@ def book_forces_chunks(
         gravity: its part that is stored as height, m/s^2.
         drag: Pa s/m.
         wind: [regions] velocity of the air along the film, m/s; null for air at rest.
-        damping: rate at which the air takes up normal motion, 1/s.
-        drift: [regions] velocity against which it does, m/s; null for a single film.
         theta: [1] share of the step that the flow along the film is solved for.
         gas: gas slots.
         p_atm: Pa.
@@ -635,7 +645,6 @@ def book_forces_chunks(
     split = wp.float64(0.0)
     slowed = wp.float64(0.0)
     viscous = wp.float64(0.0)
-    damped = wp.float64(0.0)
     lifted = wp.float64(0.0)
     pushed = wp.float64(0.0)
     fallen = wp.float64(0.0)
@@ -657,9 +666,6 @@ def book_forces_chunks(
                 hold -= (m + wp.float64(taken[g] * area[i])) * kick * (un + wp.float64(0.5) * kick)
                 un += kick
             membrane += across * (end - un) * (moved - wp.float64(0.5) * (un + end))
-            if drift:
-                against_air = end - wp.float64(wp.dot(drift[g], n))
-                damped += across * wp.float64(damping) * h * against_air * against_air
             if bending:
                 bend += wp.float64(bending[i])
             if rigid:
@@ -716,7 +722,6 @@ def book_forces_chunks(
     part[c, SPLITTING] = split
     part[c, DRAG] = slowed
     part[c, VISCOSITY] = viscous
-    part[c, DAMPING] = damped
     part[c, LIFT] = lifted
     part[c, PUSH] = pushed
     part[c, FALLING] = -fallen
@@ -824,45 +829,6 @@ def book_mixed_chunks(
     c = wp.tid()
     part[c, MIXED] = mixed[c]
     mixed[c] = wp.float64(0.0)
-
-
-@wp.kernel
-def book_carried_r(
-    start: wp.array(dtype=wp.vec3),
-    motion: wp.array(dtype=wp.vec3),
-    frame: wp.array(dtype=wp.vec3),
-    recoil: wp.array(dtype=wp.vec3),
-    weight: wp.array(dtype=wp.vec4),
-    gas: wp.array2d(dtype=wp.float64),
-    added: wp.array(dtype=float),
-    density: float,
-    kept: int,
-    # outputs
-    part: wp.array2d(dtype=wp.float64),
-):
-    """What the scheme takes of the motion of bubbles as a whole, `carried_air` and liquid. Slots MEMBRANE and DEBT.
-
-    Args:
-        start: [regions] velocity as a whole at the start of the step, m/s.
-        motion: [regions] at its end, m/s.
-        frame: [regions] in it, m/s.
-        recoil: [regions] its part that gives momentum back, m/s.
-        weight: parts of (., ., ., mass), N and kg.
-        gas: gas slots.
-        added: [regions] kg/m^2.
-        density: of the air, kg/m^3.
-        kept: 1 where E know their normal motion alone.
-        part: parts.
-    """
-    g = wp.tid()
-    c, stop = region_parts(g, part.shape[0], start.shape[0])
-    inertia = carried_air(gas, g, density, added)
-    if kept == 1:
-        for k in range(c, stop):
-            inertia += 2.0 / 3.0 * weight[k][3]
-    way = frame[g] - 0.5 * (start[g] + motion[g])
-    part[c, MEMBRANE] = part[c, MEMBRANE] + wp.float64(inertia * wp.dot(motion[g] - start[g], way))
-    part[c, DEBT] = part[c, DEBT] - wp.float64(inertia * wp.dot(recoil[g], frame[g]))
 
 
 @wp.kernel
@@ -1296,14 +1262,36 @@ def book_foam_chunks(
     missing: wp.array(dtype=wp.vec3),
     added: wp.array(dtype=float),
     recoil: wp.array(dtype=wp.vec3),
+    gas: wp.array2d(dtype=wp.float64),
+    density: float,
+    kept: int,
+    kick: wp.array(dtype=wp.vec3),
+    drift: wp.array(dtype=wp.vec3),
+    damping: float,
     tension: wp.array(dtype=float),
     contact: wp.array(dtype=float),
+    u: wp.array(dtype=wp.vec3),
+    begun: wp.array(dtype=wp.vec3),
+    motion: wp.array(dtype=wp.vec3),
+    frame: wp.array(dtype=wp.vec3),
+    passed: wp.array(dtype=wp.vec3),
+    body: wp.array(dtype=wp.vec3),
+    traction: wp.array(dtype=wp.vec3),
     first: wp.array(dtype=wp.int32),
     dt: wp.array(dtype=float),
     # outputs
     part: wp.array2d(dtype=wp.float64),
 ):
-    """What foams do besides `book_forces_chunks`. Slots CONTACT, STRETCH, LINES and DEBT; see `book_moves_chunks`.
+    """What foams do besides `book_forces_chunks`. Slots CONTACT, STRETCH, LINES, DEBT, DAMPING, FLOW and MEMBRANE.
+
+    Damping acts before momentum is given back and drag holds the bubble back. What it takes by the velocity of the
+    cluster belongs to the momentum that is given back.
+
+    What a bubble carries as a whole (`carried`) is booked as normal motion is, by the scheme and the recoil.
+
+    Liquid that flows along a film hangs on it: its weight along it, m g_t, moves the bubble as a whole, whose inertia
+    has its part K dU = m dU_t. Uneven tension a t holds it up there. m g_t + a t - K dU/dt is what it gets faster or
+    slower by than its bubble, and that the bubble does not feel: that impulse times its way is a loss of the flow.
 
     Args:
         mass: [n_e] kg.
@@ -1315,9 +1303,22 @@ def book_foam_chunks(
         load: [n_e] from `lines.gather_load_e`, N.
         missing: [regions] m/s^2.
         added: [regions] kg/m^2.
-        recoil: [regions] m/s.
+        recoil: [regions] velocity that gives momentum back, m/s.
+        gas: gas slots.
+        density: of the air that bubbles carry, kg/m^3; 0 without.
+        kept: 1 where E know their normal motion alone.
+        kick: [regions] change of the velocity as a whole by drag, m/s; null without.
+        drift: [regions] velocity of the cluster, against which the air takes up normal motion, m/s.
+        damping: rate at which it does, 1/s.
         tension: [n_e] from `lose_tension_e`, J.
         contact: [n_e] from `lose_contact_e`, J.
+        u: [n] at the end of the step, m/s.
+        begun: [regions] velocity as a whole at the start of the step, m/s.
+        motion: [regions] at its end, m/s.
+        frame: [regions] in it, m/s.
+        passed: [regions] at the time of the paths along the film, m/s.
+        body: [n_e] acceleration by outside forces, m/s^2.
+        traction: [n_e] force of uneven tension along the film, Pa; null without surfactant.
         first: see `part_range`.
         dt: [1] s.
         part: parts.
@@ -1328,20 +1329,46 @@ def book_foam_chunks(
     start, stop = part_range(c, first, parts)
     stretched = wp.float64(0.0)
     pressed = wp.float64(0.0)
-    passed = wp.float64(0.0)
+    lined = wp.float64(0.0)
     paid = wp.float64(0.0)
+    felt = wp.float64(0.0)
+    scheme = wp.float64(0.0)
+    damped = wp.float64(0.0)
+    change = motion[g] - begun[g]
+    late = recoil[g] + drift[g]
+    if kick:
+        late += kick[g]
+    ahead = frame[g] - 0.5 * (begun[g] + motion[g])
+    if begins_region(c, parts, first.shape[0] - 1):
+        scheme = carried_air(gas, g, density, change, ahead)
+        paid = -carried_air(gas, g, density, recoil[g], frame[g])
     for i in range(start, stop):
         n = normal[i]
-        m = mass[i] + added[g] * area[i]
+        air = added[g] * area[i]
+        m = mass[i] + air
         stretched += wp.float64(tension[i])
         pressed += wp.float64(contact[i])
         gain = load[i] + m * wp.dot(missing[g], n) - moments[g][0] * wp.dot(vector[i], n)
-        passed -= wp.float64(dt[0] * gain * u_mid[i])
+        lined -= wp.float64(dt[0] * gain * u_mid[i])
         paid -= wp.float64(m * wp.dot(recoil[g], n) * u_mid[i])
+        brake = m * damping * dt[0] * wp.dot(u[i] - late, n)
+        whole = wp.dot(drift[g], n)
+        damped += wp.float64(brake * (u_mid[i] - whole))
+        paid += wp.float64(brake * whole)
+        paid -= wp.float64(carried(mass[i], air, n, recoil[g], frame[g], kept))
+        scheme += wp.float64(carried(mass[i], air, n, change, ahead, kept))
+        if kept == 0:
+            lag = tangential(change - recoil[g] - dt[0] * body[i], n)
+            felt += wp.float64(mass[i] * wp.dot(lag, frame[g]))
+            if traction:
+                felt -= wp.float64(area[i] * dt[0] * wp.dot(traction[i], passed[g]))
     part[c, STRETCH] = stretched
     part[c, CONTACT] = pressed
-    part[c, LINES] = passed
+    part[c, LINES] = lined
     part[c, DEBT] = paid
+    part[c, DAMPING] = damped
+    part[c, FLOW] = part[c, FLOW] + felt
+    part[c, MEMBRANE] = part[c, MEMBRANE] + scheme
 
 
 @wp.kernel
@@ -1351,11 +1378,18 @@ def book_shifts_chunks(
     normal: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
     added: wp.array(dtype=float),
+    motion: wp.array(dtype=wp.vec3),
+    gas: wp.array2d(dtype=wp.float64),
+    density: float,
+    kept: int,
     first: wp.array(dtype=wp.int32),
     # outputs
     part: wp.array2d(dtype=wp.float64),
 ):
-    """What the shifts of E have taken: they change velocities and nothing else. Slots SHIFTS and ENDED."""
+    """What the shifts of E have taken: they change velocities and nothing else. Slots SHIFTS and ENDED.
+
+    ENDED has what bubbles carry as a whole from here on.
+    """
     c = wp.tid()
     parts = part.shape[0]
     g = part_region(c, first, parts)
@@ -1365,6 +1399,12 @@ def book_shifts_chunks(
         total += kinetic(mass[i], u[i])
         total += kinetic(added[g] * area[i], wp.dot(u[i], normal[i]) * normal[i])
     part[c, SHIFTS] = part[c, ENDED] - total
+    if density > 0.0 or kept == 1:
+        for i in range(start, stop):
+            air = added[g] * area[i]
+            total += wp.float64(0.5 * carried(mass[i], air, normal[i], motion[g], motion[g], kept))
+    if begins_region(c, parts, first.shape[0] - 1):
+        total += wp.float64(0.5) * carried_air(gas, g, density, motion[g], motion[g])
     part[c, ENDED] = total
 
 

@@ -58,11 +58,11 @@ class Membrane:
         frame: [1] the same in the step; that of its end is `State.motion`.
         passed: [1] the same after the share of the step that `find_motion_at` was asked for.
         at_rest: [1] what lists move along with: they are of one film, `frame`.
-        cover, drift: None; foams have them.
+        cover: None; foams have it.
     """
 
     needs = ("lists", "geometry", "fields", "forces", "rim", "response", "drag")
-    cover = drift = None
+    cover = None
 
     @staticmethod
     def kernels(features: Features) -> tuple[str, ...]:

@@ -102,8 +102,7 @@ class Budget:
                 membrane.rigid if held else None,
                 *(e.surfactant, film.material.rt, membrane.turning if membrane else None, *self._widening()),
                 *(flow.viscous.x if flow and flow.viscous else None, s.forces.body, film.height),
-                *(film.surroundings.drag, flow.wind if flow else None, film.surroundings.damping),
-                membrane.drift if f.moving else None,
+                *(film.surroundings.drag, flow.wind if flow else None),
                 flow.theta if flow else self._whole,
                 *(
                     self.state.gas,
@@ -246,7 +245,10 @@ class Budget:
         film, e, s = self.film, self.state.e, self._stages
         film.launch_parts(
             kb.book_shifts_chunks,
-            [e.mass, s.geometry.area, e.normal, e.u, self._air(), film.first],
+            [
+                *(e.mass, s.geometry.area, e.normal, e.u, self._air()),
+                *(self.state.motion, self.state.gas, *self._carried(), film.first),
+            ],
             [self.part],
         )
 

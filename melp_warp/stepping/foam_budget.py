@@ -63,7 +63,7 @@ class FoamBudget(Budget):
 
     def _book_normal(self) -> None:
         film, e, s, g = self.film, self.state.e, self._stages, self._stages.geometry
-        m, dt = s.membrane, s.dt.array
+        m, flow, dt = s.membrane, s.tangential, s.dt.array
         change, matrix = m.response.x, m.response.operator
         film.launch_e(
             kb.lose_tension_e,
@@ -83,13 +83,11 @@ class FoamBudget(Budget):
             kb.book_foam_chunks,
             [
                 *(e.mass, g.area, e.normal, g.vector, m.response.moments, m.u_mid, m.load, m.missing, m.added),
-                *(m.recoil, self._stretched, self._touched, film.first, dt),
+                *(m.recoil, self.state.gas, *self._carried(), m.drag.kick if m.drag else None, m.drift),
+                *(film.surroundings.damping, self._stretched, self._touched, e.u),
+                *(m.start, self.state.motion, m.frame, m.passed),
+                *(s.forces.body, flow.traction if flow else None, film.first, dt),
             ],
-            [self.part],
-        )
-        film.launch_regions(
-            kb.book_carried_r,
-            [m.start, self.state.motion, m.frame, m.recoil, m.weight, self.state.gas, m.added, *self._carried()],
             [self.part],
         )
 

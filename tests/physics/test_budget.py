@@ -393,6 +393,25 @@ def test_stars_that_are_found_anew_are_booked(scene, count):
     assert ledger.share < 0.005
 
 
+def test_what_damps_a_falling_pair_is_given_back():
+    """Damping acts against the cluster, whose momentum it keeps: the work of what is given back has a partner.
+
+    Without it 5 % of what the weight of a falling pair does was missing. Mode 2 of bubbles that are no spheres has
+    other air than a third of their area's: 4e-3 of what moves as they meet.
+    """
+    script = load_scene("double_bubble")
+    simulation = Simulation(script.build(script.parameters.values({"e_count": 400, "l_per_e": 2})))
+    seen = []
+    for _ in range(2):
+        for _ in range(30):
+            simulation.advance_frame()
+        seen.append((simulation.ledger.stores["gravity"], simulation.ledger.rest))
+    (height, rest), (lower, later) = seen
+    assert height - lower > 8e-6
+    assert abs(later - rest) < 0.03 * (height - lower)
+    assert simulation.ledger.share < 1e-3
+
+
 def test_a_bubble_of_vortices_adds_up():
     """Surfactant pays for what bends the film, by the way of E: to first order by that of L the rest was 0.8 %."""
     script = load_scene("giant_bubble_vortices")
