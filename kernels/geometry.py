@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from melp_warp.kernels.mls import fit_height, fitted_curvature, make_quadric, slope_normal
+from melp_warp.kernels.mls import SLOPE_BLUR, fit_height, fitted_curvature, make_quadric, slope_normal
 from melp_warp.kernels.native import (
     Quadric,
     cloud_moments,
@@ -182,7 +182,7 @@ def sharpen_normal_e(
     """Take the cubic part of the surface out of the fitted slope. [n_e].
 
     A linear slope fitted with isotropic weights to a cubic is off by <rho^4>/(8 <rho^2>) grad_s kappa; for the
-    quintic spline the factor is 0.2254 (r/3)^2. Left in, it biases the enclosed volume by x.grad_s kappa.
+    quintic spline the factor is `SLOPE_BLUR` (r/3)^2. Left in, it biases the enclosed volume by x.grad_s kappa.
 
     Args:
         kappa: [n_e] sum of principal curvatures, 1/m.
@@ -194,7 +194,7 @@ def sharpen_normal_e(
     """
     i = rows.first + wp.tid()
     h = r / 3.0
-    cubic = 0.2254 * h * h * gradient_row(i, kappa, rows, gradient, n_e)
+    cubic = SLOPE_BLUR * h * h * gradient_row(i, kappa, rows, gradient, n_e)
     size = wp.length(cubic)
     if size > STEEPEST:
         cubic *= STEEPEST / size

@@ -11,6 +11,10 @@ wp.set_module_options({"enable_backward": False})
 STEEPEST = wp.constant(4.0)
 """Largest curvature that a fit may give, in 1/h = 3/r: clumped or collinear particles make it up."""
 
+SLOPE_BLUR = wp.constant(0.2254)
+"""What the slope of a quadratic fitted to a smooth f lacks, over h^2 grad_s lap_s f: <rho^4>/(8 <rho^2>) over h^2, with
+the quintic spline as weight."""
+
 
 @wp.func
 def fit_height(

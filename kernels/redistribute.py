@@ -2,8 +2,9 @@
 
 import warp as wp
 
-from melp_warp.kernels.mls import fit_height
+from melp_warp.kernels.mls import SLOPE_BLUR, fit_height
 from melp_warp.kernels.native import (
+    Quadric,
     away_from_near,
     change_over_fit,
     gradient_row,
@@ -13,7 +14,7 @@ from melp_warp.kernels.native import (
     vec5,
 )
 from melp_warp.kernels.neighbors import Neighbors
-from melp_warp.kernels.regions import balanced_load, part_range, region_parts
+from melp_warp.kernels.regions import balanced_load, part_range, region_parts, region_total
 from melp_warp.kernels.sph import tangent_basis, tangential
 
 wp.set_module_options({"enable_backward": False})
@@ -205,11 +206,85 @@ def smooth_far_e(
 
 
 @wp.kernel
+def spread_layer_e(
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    area: wp.array(dtype=float),
+    # outputs
+    layer: wp.array(dtype=wp.vec3),
+):
+    """Liquid and surfactant on a unit of area, kg/m^2 and mol/m^2, and a third part that is 0. [n_e]."""
+    i = wp.tid()
+    layer[i] = wp.vec3(mass[i], surfactant[i], 0.0) / area[i]
+
+
+@wp.kernel
+def sharpen_fields_e(
+    x: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.vec3),
+    u_mid: wp.array(dtype=float),
+    layer: wp.array(dtype=wp.vec3),
+    surface: wp.array(dtype=Quadric),
+    normal: wp.array(dtype=wp.vec3),
+    region: wp.array(dtype=wp.int32),
+    spread: wp.array(dtype=wp.vec3),
+    rows: Neighbors,
+    r: float,
+    # outputs
+    sharp: wp.array(dtype=wp.vec3),
+    sharp_mid: wp.array(dtype=float),
+    bend: wp.array(dtype=float),
+    sharp_layer: wp.array(dtype=wp.vec3),
+):
+    """Fields f - b lap_s f, whose quadratic fits change over a shift as the fields f themselves do.
+
+    The slope of a quadratic that is fitted to a cubic lacks b grad_s lap_s f, b = `SLOPE_BLUR` (r/3)^2: what it finds
+    lags behind the shift, velocity, shape and liquid each by another share. The second derivatives take the same
+    addition: with a sharper slope alone shifts would make short waves larger. Nothing is found where no E is shifted.
+
+    Args:
+        x: [n] m.
+        u: [n] m/s.
+        u_mid: [n_e] m/s.
+        layer: [n_e] see `spread_layer_e`; null where L have the liquid.
+        surface: [n_e] fitted surfaces.
+        normal: [n] unit normals.
+        region: [n] region of each E.
+        spread: see `summarize_spread_r`.
+        rows: E:E neighbours.
+        r: support radius, m.
+        sharp: [n_e] of velocities, m/s.
+        sharp_mid: [n_e] of normal speeds, m/s.
+        bend: [n_e] of heights, less these themselves: -b kappa, m.
+        sharp_layer: [n_e] of the layers; null likewise.
+    """
+    i = rows.first + wp.tid()
+    if spread[region[i]][2] > 0.0:
+        h = r / 3.0
+        n = normal[i]
+        e1, e2 = tangent_basis(n)
+        factor, _c = fit_height(i, x, n, rows, r, x.shape[0], False)
+        y = solve_fit(factor, vec5(0.0, 0.0, 2.0, 0.0, 2.0))
+        lap = change_over_fit(i, x, e1, e2, y, rows, r, u_mid.shape[0], u, u_mid)
+        sharp[i] = u[i] - SLOPE_BLUR * wp.vec3(lap[0], lap[1], lap[2])
+        sharp_mid[i] = u_mid[i] - SLOPE_BLUR * lap[3]
+        bend[i] = -SLOPE_BLUR * h * h * 2.0 * wp.trace(surface[i].second)
+        if layer:
+            more = change_over_fit(i, x, e1, e2, y, rows, r, u_mid.shape[0], layer, u_mid)
+            sharp_layer[i] = layer[i] - SLOPE_BLUR * wp.vec3(more[0], more[1], more[2])
+
+
+@wp.kernel
 def shift_e(
     shifts: wp.array(dtype=wp.vec3),
     x: wp.array(dtype=wp.vec3),
     u: wp.array(dtype=wp.vec3),
     u_mid: wp.array(dtype=float),
+    sharp: wp.array(dtype=wp.vec3),
+    sharp_mid: wp.array(dtype=float),
+    bend: wp.array(dtype=float),
+    layer: wp.array(dtype=wp.vec3),
+    sharp_layer: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     r: float,
@@ -218,6 +293,7 @@ def shift_e(
     x_new: wp.array(dtype=wp.vec3),
     u_new: wp.array(dtype=wp.vec3),
     u_mid_new: wp.array(dtype=float),
+    layer_new: wp.array(dtype=wp.vec3),
 ):
     """Shift E along the fitted surface; surface and velocities stay where they are in space.
 
@@ -230,6 +306,11 @@ def shift_e(
         x: [n] m.
         u: [n] material velocity, m/s.
         u_mid: [n_e] normal speed that moves E in this step, m/s.
+        sharp: [n_e] velocity whose fit tells how it changes, see `sharpen_fields_e`, m/s.
+        sharp_mid: [n_e] the same of the normal speed, m/s.
+        bend: [n_e] the same of heights, beyond these themselves, m; null where nothing is sharpened.
+        layer: [n_e] see `spread_layer_e`; null where the liquid is not found here.
+        sharp_layer: [n_e] the layer whose fit tells how it changes; null likewise.
         normal: [n] unit normals.
         rows: E:E neighbours.
         r: support radius, m.
@@ -237,16 +318,18 @@ def shift_e(
         x_new: [n_e] m.
         u_new: [n_e] velocity at the place moved to, m/s.
         u_mid_new: [n_e] normal speed there, m/s.
+        layer_new: [n_e] liquid and surfactant there, kg/m^2 and mol/m^2.
     """
     i = rows.first + wp.tid()
     n = normal[i]
     shift = shifts[i]
     size = wp.length(shift)
+    of = int(i)
     p = x[i]
     v = u[i]
     speed = u_mid[i]
+    more = wp.vec4()
     if size > 0.0:
-        of = int(i)
         if size > OWN_REACH * spacing:
             of = nearest_on_sheet(i, p + shift, x, normal, rows, u_mid.shape[0])
             n = normal[of]
@@ -260,10 +343,18 @@ def shift_e(
         a = wp.dot(shift, e1) / h
         b = wp.dot(shift, e2) / h
         way = vec5(a, b, a * a, a * b, b * b)
+        y = solve_fit(factor, way)
         p += shift + h * wp.dot(c, way) * n
-        change = change_over_fit(of, x, e1, e2, solve_fit(factor, way), rows, r, u_mid.shape[0], u, u_mid)
+        if layer:
+            more = change_over_fit(of, x, e1, e2, y, rows, r, u_mid.shape[0], sharp_layer, bend)
+            p += more[3] * n
+        elif bend:
+            p += change_over_fit(of, x, e1, e2, y, rows, r, u_mid.shape[0], sharp, bend)[3] * n
+        change = change_over_fit(of, x, e1, e2, y, rows, r, u_mid.shape[0], sharp, sharp_mid)
         v += wp.vec3(change[0], change[1], change[2])
         speed += change[3]
+    if layer:
+        layer_new[i] = layer[of] + wp.vec3(more[0], more[1], more[2])
     x_new[i] = p
     u_new[i] = v
     u_mid_new[i] = speed
@@ -367,3 +458,79 @@ def take_swept_e(
     i = wp.tid()
     mass[i] = mass[i] + swept[i][0]
     surfactant[i] = surfactant[i] + swept[i][1]
+
+
+@wp.kernel
+def ask_layers(
+    spread: wp.array(dtype=wp.vec3),
+    # outputs
+    go: wp.array(dtype=int),
+):
+    """1 where E of the one film were shifted, so that each stands for other liquid; 0 where none were."""
+    go[0] = wp.where(spread[0][2] > 0.0, 1, 0)
+
+
+@wp.kernel
+def sum_layers_chunks(
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+    layer: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    first: wp.array(dtype=wp.int32),
+    # outputs
+    part: wp.array(dtype=wp.vec4d),
+):
+    """Parts of liquid and surfactant that E have, and of what they would have with their new layers and areas.
+
+    Args:
+        mass: [n_e] kg.
+        surfactant: [n_e] mol on one interface.
+        layer: [n_e] liquid and surfactant at the places shifted to, kg/m^2 and mol/m^2.
+        area: [n_e] areas there, m^2.
+        first: see `part_range`.
+        part: parts.
+    """
+    c = wp.tid()
+    start, stop = part_range(c, first, part.shape[0])
+    total = wp.vec4d()
+    for i in range(start, stop):
+        new = layer[i] * area[i]
+        total += wp.vec4d(wp.float64(mass[i]), wp.float64(surfactant[i]), wp.float64(new[0]), wp.float64(new[1]))
+    part[c] = total
+
+
+@wp.func
+def scaled(amount: float, old: wp.float64, new: wp.float64) -> float:
+    """An amount of those that sum up to `new`, as a share of `old`."""
+    share = wp.float64(1.0)
+    if new > wp.float64(0.0):
+        share = old / new
+    return float(wp.float64(amount) * share)
+
+
+@wp.kernel
+def fill_layers_e(
+    layer: wp.array(dtype=wp.vec3),
+    area: wp.array(dtype=float),
+    part: wp.array(dtype=wp.vec4d),
+    go: wp.array(dtype=int),
+    # outputs
+    mass: wp.array(dtype=float),
+    surfactant: wp.array(dtype=float),
+):
+    """Give E the liquid of their new places, scaled so that none is made or lost.
+
+    Args:
+        layer: [n_e] liquid and surfactant there, kg/m^2 and mol/m^2.
+        area: [n_e] areas there, m^2.
+        part: from `sum_layers_chunks`.
+        go: [1] 1 where E were shifted.
+        mass: [n_e] kg.
+        surfactant: [n_e] mol on one interface.
+    """
+    i = wp.tid()
+    if go[0] == 1:
+        total = region_total(part, 0, 1)
+        new = layer[i] * area[i]
+        mass[i] = scaled(new[0], total[0], total[2])
+        surfactant[i] = scaled(new[1], total[1], total[3])

@@ -6,7 +6,7 @@ import math
 
 import warp as wp
 
-from melp_warp.device.launch import copy
+from melp_warp.device.launch import clear, copy, repeat
 from melp_warp.device.linear import LinearOperator
 from melp_warp.features import Features
 from melp_warp.kernels import advance as ka
@@ -26,6 +26,10 @@ SHIFT_ITERATIONS = 2.0
 SHIFT_SHARE = 0.02
 """Largest shift of an E in one redistribution, in radii of a sphere of the film's size: what a film is stretched by
 over a length is more spacings the finer it is."""
+
+FILLED_REACH = 0.25
+"""Largest shift, in spacings, after which areas are found anew in the midst of a step, from the neighbours of before: of
+what they are found by, those that the lists lack have less than 1e-3."""
 
 START_SPREAD = 0.02
 """Spread of E density from which on they are evened out at the start, where it costs the film nothing."""
@@ -91,8 +95,16 @@ class Redistribution:
         self.shifted, self._u, self._asked = (film.zeros(film.n_e, wp.vec3) for _ in range(3))
         self._shift_by = film.zeros(film.n_e, wp.vec3) if film.features.coarse else self._asked
         self._u_mid = film.zeros(film.n_e)
-        # the liquid of a film with L is theirs
-        self._swept = None if film.features.lagrangian else [film.zeros(film.n_e, wp.vec2) for _ in range(2)]
+        n, single = film.n_e, film.features.floats
+        alone = not film.features.lagrangian  # the liquid of a film with L is theirs
+        self._sharp = [film.zeros(n, wp.vec3), film.zeros(n), film.zeros(n)] if single else None
+        self._swept = [film.zeros(n, wp.vec2) for _ in range(2)] if alone and not single else None
+        self._layer, self._sharp_layer, self._layer_new = (
+            film.zeros(n, wp.vec3) if alone and single else None for _ in range(3)
+        )
+        if self._layer is not None:
+            self._limit = min(self._limit, FILLED_REACH * film.spacing)
+            self._filled, self._go = film.parts(wp.vec4d), film.zeros(1, wp.int32)
 
     def apply(self, u_mid: wp.array) -> None:
         """Shift E once towards even density; nothing moves where the spread is below the scene's threshold.
@@ -121,15 +133,40 @@ class Redistribution:
         if self._shift_by is not self._asked:
             inputs = [self._asked, e.normal, geometry.near, rows, film.spacing]
             film.launch_e(kr.smooth_far_e, inputs, [self._shift_by])
+        if self._layer is not None:
+            film.launch_e(kr.spread_layer_e, [e.mass, e.surfactant, geometry.area], [self._layer])
+        if self._sharp is not None:
+            fields = [e.x, e.u, u_mid, self._layer, geometry.surface, e.normal, e.region, self.spread, rows, film.r]
+            film.launch_e(kr.sharpen_fields_e, fields, [*self._sharp, self._sharp_layer])
         film.launch_e(
             kr.shift_e,
-            [self._shift_by, e.x, e.u, u_mid, e.normal, rows, film.r, film.spacing],
-            [self.shifted, self._u, self._u_mid],
+            [
+                *(self._shift_by, e.x, e.u, u_mid, *(self._sharp or (e.u, u_mid, None))),
+                *(self._layer, self._sharp_layer, e.normal, rows, film.r, film.spacing),
+            ],
+            [self.shifted, self._u, self._u_mid, self._layer_new],
         )
         if self._swept is not None:
             self._keep_liquid()
         for array, new in ((e.x, self.shifted), (e.u, self._u), (u_mid, self._u_mid)):
             copy(array, new, count=film.n_e)
+        if self._layer is not None:
+            film.launch_one(kr.ask_layers, [self.spread], [self._go])
+            repeat(self._go, self._fill_layers, 1)
+
+    def _fill_layers(self) -> None:
+        """Give E the liquid that lies where they are now: a layer on the area that each has there."""
+        film, e, geometry = self.film, self.state.e, self.geometry
+        geometry.update()
+        film.launch_parts(
+            kr.sum_layers_chunks,
+            [e.mass, e.surfactant, self._layer_new, geometry.area, film.first],
+            [self._filled],
+        )
+        film.launch_e(
+            kr.fill_layers_e, [self._layer_new, geometry.area, self._filled, self._go], [e.mass, e.surfactant]
+        )
+        clear(self._go)
 
     def _keep_liquid(self) -> None:
         """Leave the liquid where it is."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from melp_warp import features
-from melp_warp.shapes import Jittered, Sphere
+from melp_warp.shapes import Jittered, Sphere, displaced_sphere
 from melp_warp.stages.advance import SHIFT_TOLERANCE
 from tests.helpers import fitted_order, make_stepper, place_e
 
@@ -16,6 +16,9 @@ FAR = 3.0
 def f64(array):
     return array.numpy().astype(np.float64)
 
+
+RIPPLE = 0.02
+"""Amplitude of a wave in shape and thickness, relative."""
 
 FULL = {"redistribution": 1.0, "spread": 0.02}
 
@@ -134,9 +137,12 @@ def wave(count, device, degree=4):
 
 
 def test_fields_are_found_to_third_order(device):
-    """u and u_mid at the new places are those of the field to O(dx^3), a linear interpolation's error is O(dx^2)."""
+    """u and u_mid at the new places are those of the field to O(dx^3), a linear interpolation's error is O(dx^2).
+
+    With 1,000 E none is shifted by more than its own fit reaches; with more, the nearest fit is looked for.
+    """
     spacings, errors = [], []
-    for count in (1000, 2000, 4000):
+    for count in (2000, 4000, 8000):
         film, s, value = wave(count, device)
         s.redistribution._limit = FAR * film.spacing
         s.redistribution.apply(s.membrane.u_mid)
@@ -152,6 +158,7 @@ def test_fields_are_found_to_third_order(device):
     order = fitted_order(spacings, errors)
     print(f"off by {', '.join(f'{e:.1e}' for e in errors)}, order {order:.2f}")
     assert order > 2.5
+    assert errors[0] < 2e-3
 
 
 def test_far_shifts_find_the_nearest_fit(device):
@@ -171,10 +178,10 @@ def test_far_shifts_find_the_nearest_fit(device):
 
 
 def test_liquid_stays_where_it_is(device):
-    """A film of E alone, thicker above: a shift keeps its mass to rounding, and its thickness as a field to 3 %.
+    """A film of E alone, thicker above: a shift keeps its mass to rounding, and its thickness as a field to 0.01 %.
 
     Carried along with the E the thickness would be off by what the shift compresses: 25 % where E were sparse and run
-    together, 2 % in the mean.
+    together, 2 % in the mean. With liquid that went from E to E over the borders of their cells it was 3 % off there.
     """
     _, s = clustered(2000, device)
     e = s.state.e
@@ -201,8 +208,59 @@ def test_liquid_stays_where_it_is(device):
     print(f"off {worst(off):.2%}, carried along {worst(carried):.2%}, area {np.ptp(area) / area.mean():.2f}")
     assert f64(e.mass).sum() == pytest.approx(before.sum(), rel=1e-6)
     assert np.array_equal(e.surfactant.numpy(), e.mass.numpy())
-    assert worst(off) < 0.2 * worst(carried)
-    assert mean(off) < 0.1 * mean(carried)
+    assert worst(off) < 1e-3 * worst(carried)
+    assert mean(off) < 1e-3 * mean(carried)
+
+
+def rippled(count, device, degree=4, **scene):
+    """A crowded bubble of shape, speed u_mid, velocity and thickness P_n of the direction; and that P_n."""
+    legendre = np.polynomial.legendre.Legendre.basis(degree)
+
+    def value(x):
+        return legendre(x[:, 1] / np.linalg.norm(x, axis=1))
+
+    shape = displaced_sphere(RADIUS, lambda d: RIPPLE * legendre(d[:, 1]))
+    film, s = make_stepper(shape, count, device, numerics=FULL, **scene)
+    d = f64(s.state.e.x) + [0.0, 0.0, 0.13 * RADIUS]
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    place_e(s, shape.project(RADIUS * d))
+    e = s.state.e
+    p = value(f64(e.x))
+    e.u.assign((p[:, None] * f64(e.normal)).astype(np.float32))
+    s.membrane.u_mid.assign(p.astype(np.float32))
+    e.mass.assign(((1.0 + RIPPLE * p) * f64(s.geometry.area)).astype(np.float32))
+    return film, s, value, shape
+
+
+def test_nothing_lags_behind_a_shift(device):
+    """Shape, velocity and liquid of a wave stay where they are: what a plain quadratic fit leaves behind is not there.
+
+    Its slope lacks 0.2254 (k r/3)^2 of that of a wave, so that as much of the shift would take the field along. Each by
+    another share, and to and fro in each swing: a ringing bubble got its energy from that.
+    """
+    film, s, value, shape = rippled(1500, device)
+    x = f64(s.state.e.x)
+    before = value(x)
+    s.redistribution.apply(s.membrane.u_mid)
+    s.lists.rebuild()
+    s.geometry.update()
+    e = s.state.e
+    x = f64(e.x)
+    exact = value(x)
+    change = exact - before
+    plain = 0.2254 * 20.0 * (film.r / 3.0 / RADIUS) ** 2
+    scale = np.linalg.norm(shape.project(x), axis=1)
+    found = {
+        "speed": f64(s.membrane.u_mid),
+        "velocity": (f64(e.u) * f64(e.normal)).sum(axis=1),
+        "liquid": (f64(e.mass) / f64(s.geometry.area) - 1.0) / RIPPLE,
+        "shape": exact + (np.linalg.norm(x, axis=1) - scale) / (RADIUS * RIPPLE),
+    }
+    lag = {name: -np.dot(field - exact, change) / np.dot(change, change) for name, field in found.items()}
+    print(f"a quadratic lags by {plain:.3f}; " + ", ".join(f"{name} {value:+.4f}" for name, value in lag.items()))
+    assert np.abs(change).max() > 0.05
+    for name, share in lag.items():
+        assert abs(share) < 0.25 * plain, name
 
 
 def test_solve_comes_to_its_tolerance(device):
