@@ -28,8 +28,8 @@ SHIFT_SHARE = 0.02
 over a length is more spacings the finer it is."""
 
 FILLED_REACH = 0.25
-"""Largest shift, in spacings, after which areas are found anew in the midst of a step, from the neighbours of before: of
-what they are found by, those that the lists lack have less than 1e-3."""
+"""Largest shift, in spacings, after which areas are found anew in the midst of a step. Lists are those of before: the
+neighbours that they may lack have less than 1e-3 of the weight of a near one."""
 
 START_SPREAD = 0.02
 """Spread of E density from which on they are evened out at the start, where it costs the film nothing."""

@@ -212,7 +212,7 @@ def test_liquid_stays_where_it_is(device):
     assert mean(off) < 1e-3 * mean(carried)
 
 
-def rippled(count, device, degree=4, **scene):
+def rippled(count, device, degree=4):
     """A crowded bubble of shape, speed u_mid, velocity and thickness P_n of the direction; and that P_n."""
     legendre = np.polynomial.legendre.Legendre.basis(degree)
 
@@ -220,8 +220,8 @@ def rippled(count, device, degree=4, **scene):
         return legendre(x[:, 1] / np.linalg.norm(x, axis=1))
 
     shape = displaced_sphere(RADIUS, lambda d: RIPPLE * legendre(d[:, 1]))
-    film, s = make_stepper(shape, count, device, numerics=FULL, **scene)
-    d = f64(s.state.e.x) + [0.0, 0.0, 0.13 * RADIUS]
+    film, s = make_stepper(shape, count, device, numerics=FULL)
+    d = f64(s.state.e.x) + np.array([0.0, 0.0, 0.13 * RADIUS])
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     place_e(s, shape.project(RADIUS * d))
     e = s.state.e
