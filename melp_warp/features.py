@@ -95,7 +95,7 @@ class Features:
             mixes=lagrangian and scene.numerics.mixing > 0.0,
             air=air,
             dragged=air and closed and scene.surroundings.air_drag > 0.0,
-            budget=scene.budget and not (single or (scene.bursts and not foam) or scene.breathes),
+            budget=scene.budget and not without_budget(scene),
             bursts=scene.bursts,
             holed=holed,
             coarse=scene.e_count >= COARSE_FROM * (len(scene.shape.bubbles) if foam else 1),
@@ -136,6 +136,17 @@ class Features:
 
 
 _OF_L = ("two_layers", "circulation")
+
+
+def without_budget(scene: Scene) -> str:
+    """Why a scene can have no energy budget; empty where it can."""
+    if scene.numerics.layers == 1:
+        return "a single layer has none"
+    if scene.breathes:
+        return "gas comes and goes"
+    if scene.bursts and not isinstance(scene.shape, Cluster):
+        return "the film may burst"
+    return ""
 
 
 def _carrier(scene: Scene) -> str:

@@ -70,8 +70,9 @@ def noticed_in(simulation: Simulation | None) -> str:
     return f"; noticed: {simulation.notices.summary()}" if simulation and simulation.notices else ""
 
 
-def say_finished(folder: Path, images: list[Path], notices: Notices, empty_from: int | None) -> None:
+def say_finished(folder: Path, images: list[Path], simulation: Simulation, empty_from: int | None) -> None:
     """Say what there is once a run is done."""
+    from melp_warp.features import without_budget
     from melp_warp.usd.schema import ROOT
 
     print(f"{kept_frames(folder)}: {folder / ROOT}")
@@ -80,5 +81,10 @@ def say_finished(folder: Path, images: list[Path], notices: Notices, empty_from:
     for image in images:
         print(f"drawn: {image}")
     print(f"Open the .usda in usdview, Houdini or Omniverse, or draw a frame: melp-warp preview {folder}")
-    if notices:
-        print(f"Noticed: {notices.summary()}")
+    scene, course = simulation.scene, simulation.state.course
+    if scene.budget and (why := without_budget(scene)):
+        print(f"No energy budget was kept: {why}")
+    elif course.ledger is not None and course.holed:
+        print(f"The energy budget ended when a film burst: it goes up to {course.ledger.time:.4g} s")
+    if simulation.notices:
+        print(f"Noticed: {simulation.notices.summary()}")

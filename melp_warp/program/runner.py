@@ -72,7 +72,7 @@ def run(plan: Plan) -> int:
         print(f"melp-warp: interrupted: {kept_frames(plan.out)}{more}{noticed_in(simulation)}", file=sys.stderr)
         return INTERRUPTED + getattr(error, "number", signal.SIGINT)
     if not plan.quiet:
-        say_finished(plan.out, images, simulation.notices, output.empty_from)
+        say_finished(plan.out, images, simulation, output.empty_from)
     return int(plan.strict and bool(simulation.notices))
 
 
