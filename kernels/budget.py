@@ -10,6 +10,7 @@ from melp_warp.kernels.advance import bent_path
 from melp_warp.kernels.air_range import AFTER, BEFORE, SLOPE
 from melp_warp.kernels.gas import AMOUNT, GAUGE, INCREMENT, OFFSET, VOLUME
 from melp_warp.kernels.mls import Quadric
+from melp_warp.kernels.native import sum_differences, sum_squares
 from melp_warp.kernels.neighbors import Neighbors
 from melp_warp.kernels.regions import part_range, part_region, region_parts
 from melp_warp.kernels.sph import tangential
@@ -308,7 +309,6 @@ def sharpen_e(
     area: wp.array(dtype=float),
     weight: wp.array(dtype=float),
     rows: Neighbors,
-    n_e: int,
     blur: float,
     # outputs
     sharp: wp.array(dtype=float),
@@ -317,23 +317,15 @@ def sharpen_e(
 
     Args:
         blurred: [n_e] of any unit.
-        found: [n_e] what the step before has found; at first what is blurred itself.
+        found: [n] what the step before has found, 0 beyond the E; at first what is blurred itself.
         area: [n_e] m^2.
         weight: [pairs] a_i a_j K_ij.
         rows: E:E neighbours.
-        n_e: number of E; beyond them there is nothing.
         blur: m^2.
         sharp: [n_e].
     """
     i = rows.first + wp.tid()
-    change = float(0.0)
-    for k in range(rows.start[i], rows.stop[i]):
-        j = rows.index[k]
-        other = float(0.0)
-        if j < n_e:
-            other = found[j]
-        change += weight[k] * (other - found[i])
-    sharp[i] = blurred[i] - blur * change / area[i]
+    sharp[i] = blurred[i] + blur * sum_differences(i, found, weight, rows) / area[i]
 
 
 @wp.kernel
@@ -349,7 +341,8 @@ def pack_membrane_e(
     theta: wp.array(dtype=float),
     # outputs
     speed: wp.array(dtype=float),
-    pack: wp.array(dtype=wp.vec3),
+    grown: wp.array(dtype=float),
+    ahead: wp.array(dtype=float),
 ):
     """What `lose_membrane_e` asks of neighbours.
 
@@ -364,14 +357,14 @@ def pack_membrane_e(
         whole_share: of the way from the one to the other at which the film moves.
         theta: [1].
         speed: [n_e] speed against the film as a whole, m/s.
-        pack: [n_e] the same, change y of the speed in the step, and z: how far the one that moves E is ahead of the
-            mean of those before and after. m/s.
+        grown: [n_e] change y of the speed in the step, m/s.
+        ahead: [n_e] z: how far the speed that moves E is ahead of the mean of those before and after, m/s.
     """
     i = wp.tid()
     push = float(gas[0, INCREMENT]) * response[i]
-    own = u_mid[i] - wp.dot(frame[0] + whole_share * (motion[0] - frame[0]), normal[i])
-    speed[i] = own
-    pack[i] = wp.vec3(own, change[i] + push, (theta[0] - 0.5) * change[i] + 0.5 * push)
+    speed[i] = u_mid[i] - wp.dot(frame[0] + whole_share * (motion[0] - frame[0]), normal[i])
+    grown[i] = change[i] + push
+    ahead[i] = (theta[0] - 0.5) * change[i] + 0.5 * push
 
 
 @wp.kernel
@@ -387,8 +380,10 @@ def lose_membrane_e(
     push: wp.array(dtype=float),
     external: wp.array(dtype=float),
     u_mid: wp.array(dtype=float),
+    moved: wp.array(dtype=float),
+    grown: wp.array(dtype=float),
+    ahead: wp.array(dtype=float),
     speed: wp.array(dtype=float),
-    pack: wp.array(dtype=wp.vec3),
     load: wp.array(dtype=float),
     unit: wp.array(dtype=float),
     gas: wp.array2d(dtype=wp.float64),
@@ -431,8 +426,10 @@ def lose_membrane_e(
         push: [n_e] from `find_push_e`, sharpened, Pa.
         external: [n_e] outside forces, Pa.
         u_mid: [n_e] normal speed that moves E, m/s.
-        speed: [n_e] from `pack_membrane_e`; in air sharpened, m/s.
-        pack: [n_e] from `pack_membrane_e`, m/s.
+        moved: [n] from `pack_membrane_e`, as the next two, 0 beyond the E: speed against the film as a whole, m/s.
+        grown: [n] y, m/s.
+        ahead: [n] z, m/s.
+        speed: [n_e] the first of them sharpened, m/s; what it holds does not matter without air.
         load: [n_e] kg m/s.
         unit: [n_e] of a unit pressure.
         gas: gas slots.
@@ -458,42 +455,30 @@ def lose_membrane_e(
     i = rows.first + wp.tid()
     h = dt[0]
     a = area[i]
-    mine = pack[i]
-    own = mine[0]
-    grown = mine[1]
-    ahead = mine[2]
-    bend = float(0.0)
-    lap = float(0.0)
-    lap_ahead = float(0.0)
-    if air == 1 or swelling:
-        for k in range(rows.start[i], rows.stop[i]):
-            j = rows.index[k]
-            w = weight[k]
-            d = -mine
-            if j < n_e:
-                d = pack[j] - mine
-                w *= 0.5
-            bend += w * d[0] * d[0]
-            lap += weight[k] * d[1]
-            lap_ahead += weight[k] * d[2]
+    own = moved[i]
+    y = grown[i]
+    z = ahead[i]
     total = 0.5 * h * cell[i] * push[i] * own + h * a * external[i] * own
     if swelling:
         way = h * own
+        bend = sum_squares(i, moved, weight, rows, n_e)
         widen = find_gauss(surface[i]) * way - 2.0 * wp.trace(surface[i].second)
         swelling[i] = widen * way + 0.5 * h * h * bend / a
         total += 2.0 * rt * surfactant[i] * swelling[i]
     if air == 0:
-        total -= heavy[i] * grown * own
+        total -= heavy[i] * y * own
     else:
         c = stiffness * theta[0] * theta[0] * h * h
-        impulse = load[i] + float(gas[0, INCREMENT]) * unit[i] + c * lap + (c * bent - left_out[0]) * a * grown
-        total += impulse * (ahead - blur * lap_ahead / a - speed[i]) - mass[i] * grown * ahead
+        stiff = (c * bent - left_out[0]) * a * y - c * sum_differences(i, grown, weight, rows)
+        impulse = load[i] + float(gas[0, INCREMENT]) * unit[i] + stiff
+        sharp = z + blur * sum_differences(i, ahead, weight, rows) / a
+        total += impulse * (sharp - speed[i]) - mass[i] * y * z
         n = normal[i]
         start = wp.dot(before[i] + frame[0] - found[0], n)
         end = wp.dot(u[i], n)
         way = u_mid[i] - 0.5 * (start + end)
-        whole = end - start - grown
-        total += added * a * (whole * way + grown * (way - ahead))
+        whole = end - start - y
+        total += added * a * (whole * way + y * (way - z))
     loss[i] = total
 
 

@@ -120,6 +120,22 @@ def sum_differences(i: int, x: wp.array(dtype=float), pair: wp.array(dtype=float
 
 @wp.func_native(f"""{ROW}
     const float* pairs = pair.data;
+    const float* values = x.data;
+    const float xi = values[i];
+    float total = 0.0f;
+    {{{LOOP} {{
+        const float d = xi - values[index[k]];
+        total += (index[k] < limit ? 0.5f : 1.0f) * pairs[k] * d * d;
+    }}}}
+    return total;
+""")
+def sum_squares(i: int, x: wp.array(dtype=float), pair: wp.array(dtype=float), rows: Neighbors, limit: int) -> float:
+    """sum_j pair_ij (x_i - x_j)^2, half of it for the neighbours j < limit, which have the other half."""
+    ...
+
+
+@wp.func_native(f"""{ROW}
+    const float* pairs = pair.data;
     float total = 0.0f;
     {{{LOOP}
         total += pairs[k];

@@ -52,10 +52,11 @@ class Budget:
         self.before = film.zeros(film.n_e, wp.vec3)
         self._no_air = film.zeros(film.regions)
         self._whole = wp.full(1, 1.0, dtype=wp.float32, device=film.device)
-        self._bending, self._packed, self._swelling, self._ended = 4 * (None,)
+        self._bending, self._swelling, self._ended = 3 * (None,)
         if f.normal == "membrane":
-            self._bending, self._packed = film.zeros(film.n_e), film.zeros(film.n_e, wp.vec3)
-            self._pushed, self._push, self._moved, self._speed, self._sharp = (film.zeros(film.n_e) for _ in range(5))
+            self._bending, self._push, self._speed = (film.zeros(film.n_e) for _ in range(3))
+            of_all = (film.zeros(film.total) for _ in range(5))  # 0 beyond the rim
+            self._pushed, self._moved, self._grown, self._ahead, self._sharp = of_all
             self._swelling = film.zeros(film.n_e) if f.lagrangian and f.marangoni else None
         self._asked, self._yes = memory.asked, wp.full(1, 1, dtype=wp.int32, device=film.device)
         self._air_solver, self._airs = self._make_air(AIR_TOLERANCE), film.parts(wp.float64)
@@ -172,14 +173,15 @@ class Budget:
         membrane, geometry, response = s.membrane, s.geometry, s.membrane.response
         air = self._air_solver is not None
         moved = [membrane.u_mid, response.load.x, response.unit.x, self.state.gas, *self._path(), membrane.share]
-        film.launch_e(kb.pack_membrane_e, [e.normal, *moved], [self._moved, self._packed])
+        shared = [self._moved, self._grown, self._ahead]
+        film.launch_e(kb.pack_membrane_e, [e.normal, *moved], shared)
         if air:
             self._sharpen(self._moved, membrane.blur, self._speed)
         film.launch_e(
             kb.lose_membrane_e,
             [
                 *(e.u, self.before, e.normal, geometry.area, geometry.cell, e.mass, s.forces.heavy, geometry.surface),
-                *(self._push, membrane.external, membrane.u_mid, self._speed, self._packed),
+                *(self._push, membrane.external, membrane.u_mid, *shared, self._speed),
                 *(response.load.b, response.unit.b, self.state.gas, membrane.start, membrane.found),
                 *(geometry.weight, s.lists.ee.rows, film.n_e),
                 *(2.0 * film.material.film_tension, 2.0 / film.radius**2, response.left_out, membrane.blur),
@@ -189,9 +191,9 @@ class Budget:
         )
 
     def _sharpen(self, blurred: wp.array, blur: float, into: wp.array) -> None:
-        """Put (1 + blur lap_s)^-1 of what is blurred, [n_e], into an array, up to the second power of blur lap_s."""
+        """Put (1 + blur lap_s)^-1 of what is blurred, [n], into an array, up to the second power of blur lap_s."""
         film, geometry = self.film, self._stages.geometry
-        inputs = [geometry.area, geometry.weight, self._stages.lists.ee.rows, film.n_e, blur]
+        inputs = [geometry.area, geometry.weight, self._stages.lists.ee.rows, blur]
         for found, sharp in ((blurred, self._sharp), (self._sharp, into)):
             film.launch_e(kb.sharpen_e, [blurred, found, *inputs], [sharp])
 
