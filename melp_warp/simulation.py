@@ -17,7 +17,7 @@ from melp_warp.device.environment import start_warp
 from melp_warp.device.interrupt import let_through
 from melp_warp.device.launch import compile_kernels, launch
 from melp_warp.errors import CrowdedError, InputError, LeapError, SimulationError
-from melp_warp.features import Features
+from melp_warp.features import Features, without_budget
 from melp_warp.frame import CurveFrame, ParticleFrame
 from melp_warp.kernels import advance as ka
 from melp_warp.kernels import diagnostics as kd
@@ -180,6 +180,15 @@ class Simulation:
     def ledger(self) -> Ledger | None:
         """The energy budget so far; None where the scene wants none."""
         return self.state.course.ledger
+
+    @property
+    def unaccounted(self) -> str:
+        """A sentence on what the energy budget does not cover though it is wanted; empty where it covers the run."""
+        if self.scene.budget and (why := without_budget(self.scene)):
+            return f"No energy budget was kept: {why}"
+        if self.ledger is not None and self.state.course.holed:
+            return f"The energy budget ended when a film burst: it goes up to {self.ledger.time:.4g} s"
+        return ""
 
     @property
     def spilled(self) -> float:

@@ -72,7 +72,6 @@ def noticed_in(simulation: Simulation | None) -> str:
 
 def say_finished(folder: Path, images: list[Path], simulation: Simulation, empty_from: int | None) -> None:
     """Say what there is once a run is done."""
-    from melp_warp.features import without_budget
     from melp_warp.usd.schema import ROOT
 
     print(f"{kept_frames(folder)}: {folder / ROOT}")
@@ -81,10 +80,7 @@ def say_finished(folder: Path, images: list[Path], simulation: Simulation, empty
     for image in images:
         print(f"drawn: {image}")
     print(f"Open the .usda in usdview, Houdini or Omniverse, or draw a frame: melp-warp preview {folder}")
-    scene, course = simulation.scene, simulation.state.course
-    if scene.budget and (why := without_budget(scene)):
-        print(f"No energy budget was kept: {why}")
-    elif course.ledger is not None and course.holed:
-        print(f"The energy budget ended when a film burst: it goes up to {course.ledger.time:.4g} s")
+    if simulation.unaccounted:
+        print(simulation.unaccounted)
     if simulation.notices:
         print(f"Noticed: {simulation.notices.summary()}")

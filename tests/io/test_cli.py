@@ -35,7 +35,7 @@ class StandIn:
         if device != "cpu":
             raise InputError(f"--device must be one of cpu, got {device!r}")
         self.scene, self.frame, self.has_l = scene, 0, scene.l_per_e > 0
-        self.notices = Notices()
+        self.notices, self.unaccounted = Notices(), ""
         self.notices.end(0)
 
     @property
