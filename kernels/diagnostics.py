@@ -182,6 +182,24 @@ def travel_chunks(
 
 
 @wp.kernel
+def steepest_chunks(
+    affine: wp.array(dtype=wp.mat33),
+    mass: wp.array(dtype=float),
+    # outputs
+    part: wp.array(dtype=float),
+):
+    """Parts of the largest velocity gradient B D^-1 of L (Frobenius), 1/s, but for those without liquid."""
+    c = wp.tid()
+    n = mass.shape[0]
+    size = (n + part.shape[0] - 1) // part.shape[0]
+    most = float(0.0)
+    for i in range(c * size, wp.min(n, (c + 1) * size)):
+        if mass[i] > 0.0:
+            most = wp.max(most, wp.ddot(affine[i], affine[i]))
+    part[c] = wp.sqrt(most)
+
+
+@wp.kernel
 def moved_chunks(
     x: wp.array(dtype=wp.vec3),
     x_old: wp.array(dtype=wp.vec3),

@@ -388,6 +388,7 @@ class Simulation:
         self.stepper.wall = dict.fromkeys(self.stepper.wall, 0.0)
         if not self.gone:
             self.stepper.lists.forget_leaps()
+            self.stepper.carrier.look()
         least = 1e-9 * (end - self.scene.film_time(self.state.frame))
         while end - self.time > least:
             let_through()
@@ -497,7 +498,10 @@ class Simulation:
         with self.new_account("events"):
             _, self.stepper = set_up_again(self.scene, stored, self.state, self.film)
             self.stepper.wall |= wall
-            if self.state.course.reach == 0.0 and not self.gone:
+            if self.gone:
+                return
+            self.stepper.carrier.look()
+            if self.state.course.reach == 0.0:
                 self.state.course.reach = self._longest_way()
 
     def largest_step(self) -> float:

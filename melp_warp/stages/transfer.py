@@ -11,6 +11,7 @@ from melp_warp.device.launch import Shared, clear, launch
 from melp_warp.device.scalars import Setting
 from melp_warp.errors import SimulationError
 from melp_warp.kernels import circulation as kc
+from melp_warp.kernels import diagnostics as kd
 from melp_warp.kernels import surfactant as ks
 from melp_warp.kernels import transfer as kt
 from melp_warp.kernels.native import vec16
@@ -52,7 +53,7 @@ class Transfer:
         if film.features.circulation or film.features.carried:
             self.share, self._given_amount = film.zeros(film.n_l), film.zeros(8 * -(-film.n_l // 8))
             self._dense = film.zeros(film.total)
-        self._thickest = film.parts()
+        self._largest = film.parts()
         self.claim, self.growth = film.zeros(film.n_e), film.zeros(film.n_e)
         self.momentum = film.zeros(film.n_e, wp.vec3)
         self._rate, self._whole = Setting(film.device), wp.full(1, 1.0, dtype=wp.float32, device=film.device)
@@ -60,12 +61,18 @@ class Transfer:
     def thickest(self) -> tuple[int, float]:
         """The L whose film is thickest and how thick, m (reads back)."""
         lag = self.state.l
-        self.film.launch_parts(ks.largest_chunks, [lag.eta], [self._thickest])
-        most = float(self._thickest.numpy().max())
+        self.film.launch_parts(ks.largest_chunks, [lag.eta], [self._largest])
+        most = float(self._largest.numpy().max())
         if most <= THICKEST:
             return 0, most
         eta = np.where(lag.mass.numpy() > 0.0, lag.eta.numpy(), 0.0)  # the rim has collected the liquid of the others
         return int(np.argmax(eta)), float(eta.max())
+
+    def steepest(self) -> float:
+        """Largest velocity gradient at an L, 1/s (reads back)."""
+        lag = self.state.l
+        self.film.launch_parts(kd.steepest_chunks, [lag.affine, lag.mass], [self._largest])
+        return float(self._largest.numpy().max())
 
     def check(self) -> None:
         """Raise where a film is thicker than its E are apart: then it is none (reads back).

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 AREA_STEPS = 4
 
+MOST_BEND = 0.7
+"""Largest velocity gradient times dt: paths of neighbours cross at 1, and liquid clumps before."""
+
 
 class Carrier:
     """E alone: they have the motion of the surface, and nothing carries what lies in it. Others derive from it.
@@ -47,6 +50,9 @@ class Carrier:
         """At the start of a run: take the flow from the velocity u [n, 3] (m/s) of E, which is the scene's."""
         self.state.e.u.assign(normal_part(u, self.state.e.normal.numpy()))
 
+    def look(self) -> None:
+        """Look at the flow for how long a step may be, between frames (reads back)."""
+
     def longest_step(self, speed: float) -> float:
         """Longest step that it is good for where particles have a `speed` (m/s), s."""
         return math.inf
@@ -70,6 +76,16 @@ class TwoLayers(Carrier):
     """L carry the flow and E pass it on, which is MELP."""
 
     stages = TABLE
+    steepest = 0.0
+    """Largest velocity gradient at an L when last looked at, 1/s."""
+
+    def look(self) -> None:
+        """Look at how steep the flow is."""
+        self.steepest = self.stepper.transfer.steepest()
+
+    def longest_step(self, speed: float) -> float:
+        """Step in which paths of neighbouring L do not cross, s."""
+        return MOST_BEND / self.steepest if self.steepest > 0.0 else math.inf
 
     def share_area(self) -> None:
         """Make the areas of L and the control areas of E agree.

@@ -2,9 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from melp_warp.material import Material
+from melp_warp.registry import load_scene
+from melp_warp.scene import Scene
+from melp_warp.shapes import Disc
+from melp_warp.simulation import Simulation
 from melp_warp.study import validation as v
 
 TRANSFERS = {"carrier": "apic", "flip": 0.95}
@@ -239,3 +244,34 @@ def test_flip_takes_a_share_of_what_transfers_take():
     coarse, fine = ratio(16), ratio(32)
     assert 0.15 < fine < 0.3
     assert abs(fine - 0.2) < 0.6 * abs(coarse - 0.2)
+
+
+@pytest.mark.parametrize("steps", [1, 3, 5])
+def test_paths_of_neighbours_do_not_cross(steps):
+    """A whiff of (steps - 1/2) 0.7/dt in its middle, in steps dt = 1/60 s by its scene: so many."""
+    wave, width, rate = 200.0, 0.015, 0.7 * 60.0 * (steps - 0.5)
+
+    def whiff(x):
+        speed = rate / wave * np.sin(wave * x[:, 2]) * np.exp(-0.5 * np.sum(x**2, axis=1) / width**2)
+        return speed[:, None] * [1.0, 0.0, 0.0]
+
+    simulation = Simulation(Scene("whiff", Disc(0.05), 1200, 4, velocity=whiff, fps=60.0, dt=1.0 / 60.0))
+    simulation.advance_frame()
+    assert simulation.substeps == steps
+
+
+@pytest.mark.slow
+def test_liquid_does_not_clump_in_long_steps():
+    """giant_bubble of 10,000 E in 30 frames a second, its own step as long: as even as in steps of 1/60 s.
+
+    Without a bound on the step |grad u| dt grew to 5, and thickness at E to between 45 and 2,600 nm.
+    """
+    script = load_scene("giant_bubble")
+    given = {"e_count": 10_000, "l_per_e": 1, "fps": 30, "dt": 1.0 / 30.0}
+    simulation = Simulation(script.build(script.parameters.values(given)))
+    for _ in range(50):
+        simulation.advance_frame()
+    e, n = simulation.state.e, simulation.film.n_e
+    eta = e.mass.numpy()[:n] / simulation.stepper.geometry.area.numpy()[:n] / simulation.film.material.density
+    assert 0.4 < eta.min() / eta.mean() and eta.max() / eta.mean() < 2.2
+    assert eta.std() / eta.mean() < 0.17
