@@ -15,6 +15,7 @@ def voronoi_cell_e(
     x: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     surface: wp.array(dtype=Quadric),
+    steepening: wp.array(dtype=wp.vec3),
     rows: Neighbors,
     r: float,
     # outputs
@@ -32,12 +33,14 @@ def voronoi_cell_e(
     With z = q.Q q/2 over the plane, area = |C| sqrt(1 + tr(Q Q M)/|C|), the root of the mean square of what slopes
     stretch it by: no more than neighbours are apart, however sharp a corner the E sits on. For p = x_i + offset, the
     integral of p.n over the cell is x_i.flux + bulge with flux = |C| n - Q m, bulge = -tr(Q M)/2, m and M the moments
-    of C. Unlike 1/delta of (9), whose sum is biased on uneven particles, the cells tile the surface to second order.
+    of C. The cubic part of the surface tilts the mean of the normal over the cell by -<q^2>/4 grad_s kappa. Unlike
+    1/delta of (9), whose sum is biased on uneven particles, the cells tile the surface to second order.
 
     Args:
         x: [n] positions, m.
         normal: [n] unit normals.
         surface: [n_e] fitted surfaces.
+        steepening: [n_e] grad_s kappa, 1/m^2; null where it is left out.
         rows: E:E neighbours.
         r: support radius, m.
         area: [n_e] m^2.
@@ -63,7 +66,10 @@ def voronoi_cell_e(
     q22 = wp.dot(e2, s2)
     stretch = (q11 * q11 + q12 * q12) * uu + 2.0 * q12 * (q11 + q22) * uv + (q12 * q12 + q22 * q22) * vv
     area[i] = wp.sqrt(flat * (flat + stretch))
-    flux[i] = flat * n - (q11 * first[0] + q12 * first[1]) * e1 - (q12 * first[0] + q22 * first[1]) * e2
+    through = flat * n - (q11 * first[0] + q12 * first[1]) * e1 - (q12 * first[0] + q22 * first[1]) * e2
+    if steepening:
+        through -= 0.25 * (uu + vv) * steepening[i]
+    flux[i] = through
     bulge[i] = -0.5 * (q11 * uu + 2.0 * q12 * uv + q22 * vv)
 
 

@@ -178,6 +178,7 @@ def sharpen_normal_e(
     r: float,
     # outputs
     normal: wp.array(dtype=wp.vec3),
+    steepening: wp.array(dtype=wp.vec3),
 ):
     """Take the cubic part of the surface out of the fitted slope. [n_e].
 
@@ -191,6 +192,7 @@ def sharpen_normal_e(
         n_e: number of E.
         r: support radius, m.
         normal: [n_e] unit normals.
+        steepening: [n_e] grad_s kappa, no more than is taken out of the slope, 1/m^2; null where nobody asks.
     """
     i = rows.first + wp.tid()
     h = r / 3.0
@@ -199,6 +201,8 @@ def sharpen_normal_e(
     if size > STEEPEST:
         cubic *= STEEPEST / size
     normal[i] = wp.normalize(normal[i] + cubic)
+    if steepening:
+        steepening[i] = cubic / (SLOPE_BLUR * h * h)
 
 
 @wp.kernel

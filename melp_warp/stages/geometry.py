@@ -66,6 +66,7 @@ class Geometry:
         self.cell, self.area, self.density, self._inner, self.kappa = (film.zeros(film.n_e) for _ in range(5))
         self._flux, self._bulge = film.zeros(film.n_e, wp.vec3), film.zeros(film.n_e)
         self._volume = film.parts(wp.vec2d)
+        self._steepening = film.zeros(film.n_e, wp.vec3) if film.features.floats else None
         self.star, self._found = Neighbors(), None
 
     def update(self) -> None:
@@ -76,13 +77,14 @@ class Geometry:
         film.launch_e(kg.orient_frames_e, [e.x, self.before, rows, film.r], [e.normal])
         film.launch_e(kg.fit_surface_e, [e.x, rows, film.r], [e.normal, self.surface, self.kappa, self.gradient])
         if film.features.closed:
-            film.launch_e(kg.sharpen_normal_e, [self.kappa, rows, self.gradient, film.n_e, film.r], [e.normal])
+            inputs = [self.kappa, rows, self.gradient, film.n_e, film.r]
+            film.launch_e(kg.sharpen_normal_e, inputs, [e.normal, self._steepening])
         if film.features.rim:
             film.launch_e(kg.fit_inner_gradient_e, [e.x, self.surface, rows, film.r, film.n_e], [self.inner_gradient])
         self.update_density()
         film.launch_e(
             kc.voronoi_cell_e,
-            [e.x, e.normal, self.surface, rows, film.r],
+            [e.x, e.normal, self.surface, self._steepening, rows, film.r],
             [self.cell, self._flux, self._bulge, self.star, self._found],
         )
         film.launch_e(kc.control_area_e, [self.cell, self._inner, self.near, rows, film.r, film.n_e], [self.area])
