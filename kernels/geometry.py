@@ -25,6 +25,10 @@ PLANE, BALL = wp.constant(0.45), wp.constant(0.65)
 it has none."""
 
 
+RESOLVED = wp.constant(0.02)
+"""Correction of a slope up to which a cubic tells how the normal varies over a cell: in rougher shapes the next terms
+of the series outweigh it, and it is faded out."""
+
 STEEPEST = wp.constant(0.2)
 """Largest correction of a slope for the cubic part of the surface: beyond it, in corners, a cubic says nothing."""
 
@@ -192,7 +196,7 @@ def sharpen_normal_e(
         n_e: number of E.
         r: support radius, m.
         normal: [n_e] unit normals.
-        steepening: [n_e] grad_s kappa, no more than is taken out of the slope, 1/m^2; null where nobody asks.
+        steepening: [n_e] grad_s kappa, faded out in rough shapes, 1/m^2; null where nobody asks.
     """
     i = rows.first + wp.tid()
     h = r / 3.0
@@ -202,7 +206,7 @@ def sharpen_normal_e(
         cubic *= STEEPEST / size
     normal[i] = wp.normalize(normal[i] + cubic)
     if steepening:
-        steepening[i] = cubic / (SLOPE_BLUR * h * h)
+        steepening[i] = cubic * (wp.max(1.0 - size * size / (RESOLVED * RESOLVED), 0.0) / (SLOPE_BLUR * h * h))
 
 
 @wp.kernel
