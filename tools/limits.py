@@ -64,8 +64,6 @@ NOTES = """\
 
 ## What falls short
 
-* **`giant_bubble` at 163,842 E** keeps its E even (spread 0.29) and its solves within their tolerance for 35 frames;
-  then an L is not finite, and the run stops. What makes it is not known (docs/scaling.md).
 * **A needle** of 600 E stops, with air, too: its tip, of 1.5 spacings, is not resolved. A squashed bubble in a vacuum
   goes through, by chance.
 * **Hovering at 100 g and whirls of 100 m/s** tear a film that tension cannot hold (m v^2/R is 14 times 4 sigma/R);
