@@ -70,8 +70,8 @@ NOTES = """\
   the program has no tearing, so it stops.
 * **Bubbles thrown at each other** hold up to 2 m/s; at 20 m/s, where the inertia of the air that they take along is
   many times 4 sigma/R, they stop on contact. In a vacuum all of 16 runs from 2 to 3.5 m/s went through, and 13 of 16
-  from 4 to 5.5 m/s: it is chance then. At a wall 1 m/s goes through and 18 m/s does not; on 2026-11-28 up to 19 m/s
-  did.
+  from 4 to 5.5 m/s: it is chance then. At a wall 1 m/s goes through and 18 m/s does not, since bubbles carry the
+  air of their motion as a whole: up to 19 m/s did before.
 * **E on one line stop** at support 3 and, since shifts are bounded by the film's size, at 4.
 * **A dumbbell in a vacuum is chance:** of eight numbers of E from 600 to 2,000 seven go through at support 3 (1,000
   do not), six at support 4 (1,500 and 2,000 do not). In air all do.
