@@ -313,7 +313,8 @@ def shortened(arguments):
     if "border" in script.parameters.defaults:
         sizes["e_count"] = math.ceil(1.1 * script.build(values).shape.fewest_e(values.support))
     given = [re.sub(r"^(e_count|l_per_e)=.*", lambda m: f"{m[1]}={sizes.pop(m[1])}", word) for word in arguments]
-    return [*given, "--frames", "2", "--set", *(f"{key}={value}" for key, value in sizes.items())]
+    more = ["--set", *(f"{key}={value}" for key, value in sizes.items())] if sizes else []
+    return [*given, "--frames", "2", *more]
 
 
 def run_short(command, cache, monkeypatch):
