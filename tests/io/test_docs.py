@@ -44,6 +44,9 @@ PLACEHOLDERS = {
 }
 """Words that stand for something, and what they are here."""
 
+VORTICES = {"core", "vortex_radius", "whirls"}
+"""Keys of scenes whose vortices ask for more E than others do."""
+
 NAME_ALONE = re.compile(r"melp-warp (?!scenes)\w+")
 """A code span that names a command, and is none."""
 
@@ -92,7 +95,8 @@ def paragraphs(text):
 
 def plain_words(command):
     """The words of a command as printed: alternatives by their first, placeholders by what they stand for here."""
-    command = re.split(r" {2,}#?|#", command)[0].replace("\\|", "|").replace("[options]", "").replace("...", "")
+    command = re.split(r" {2,}#?|(?<![\w.#])#", command)[0].replace("\\|", "|")
+    command = command.replace("[options]", "").replace("...", "")
     words = shlex.split(re.sub(r"[\[\]](?!')", "", command) if "pip" not in command else command)
     first = [word if "=" in word and "|" not in word else word.split("|")[0] for word in words]
     return [PLACEHOLDERS.get(word, word) for word in first]
@@ -304,12 +308,14 @@ def shortened(arguments):
         return [*arguments, "--e", "60", "--frames", "1"]
     if arguments[0] == "preview":
         frames = [i + 1 for i, word in enumerate(arguments) if word == "--frame"]
-        return [*("1" if i in frames else word for i, word in enumerate(arguments)), "--size", "32"]
+        short = ["1" if i in frames else word for i, word in enumerate(arguments)]
+        return [*(re.sub(r"^0:\d+(:\d+)?$", ":", word) for word in short), "--size", "32"]
     if arguments[0] != "run":
         return arguments
     script = load_scene(arguments[1])
     values = script.parameters.values(script.parameters.parse(w for w in arguments if re.match(r"\w+=", w)))
-    sizes = {"e_count": 150, "l_per_e": min(2, values.l_per_e)}
+    swirls = VORTICES & script.parameters.defaults.keys()
+    sizes = {"e_count": 700 if swirls else 150, "l_per_e": min(2, values.l_per_e)}
     if "border" in script.parameters.defaults:
         sizes["e_count"] = math.ceil(1.1 * script.build(values).shape.fewest_e(values.support))
     given = [re.sub(r"^(e_count|l_per_e)=.*", lambda m: f"{m[1]}={sizes.pop(m[1])}", word) for word in arguments]

@@ -57,7 +57,7 @@ def _in_double(name: str, case: Case, runs: int) -> Record:
     Raises:
         subprocess.CalledProcessError: it broke; what it said is on the screen.
     """
-    code = f"from melp_warp import tradeoff; tradeoff.print_record({name!r}, {dict(case.own)!r}, {runs})"
+    code = f"from melp_warp.study import tradeoff; tradeoff.print_record({name!r}, {dict(case.own)!r}, {runs})"
     double = {**os.environ, VARIABLE: "64"}
     done = subprocess.run([sys.executable, "-c", code], env=double, stdout=subprocess.PIPE, text=True, check=True)
     return Record(**json.loads(done.stdout.splitlines()[-1]))
